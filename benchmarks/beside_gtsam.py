@@ -36,7 +36,8 @@ from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.landmarks.mapping import local_map
 from mapweave.solve import SolveConfig, minimise
 from mapweave.team.commanded_motion import random_walk
-from mapweave.team.config import SmoothingConfig
+from mapweave.team.config import MOTION_NOISE_OUTLIER, UNKNOWN_MEMORY, SmoothingConfig
+from mapweave.team.factors import CAMERA_NOISE_OUTLIER
 from mapweave.team.problem import TeamProblem, team_problem
 from mapweave.team.robot_part import PARAMETERS, RobotPart
 from mapweave.team.team_map import TeamMap
@@ -65,7 +66,7 @@ def steps_of(part: RobotPart) -> tuple[np.ndarray, np.ndarray]:
     if part.motion is None:
         keeps = part.instants.gap
         if not len(part.log.sightings):
-            keeps = np.maximum(keeps, CFG.motion.unknown_memory)
+            keeps = np.maximum(keeps, UNKNOWN_MEMORY)
         return np.zeros((len(t) - 1, 3)), random_walk(t, CFG.motion, keeps)
     moved = part.motion.between(t, known.speed_scale, known.turn_scale, known.lag)
     return moved.step, part.motion.noise(t, known.lag, CFG.motion)
@@ -95,7 +96,7 @@ def graph_of(
 
 def add_steps(graph: gtsam.NonlinearFactorGraph, part: RobotPart, first: int) -> None:
     """How a robot went from pose to pose, the first of which has the key `first`."""
-    drive = gtsam.noiseModel.mEstimator.Cauchy.Create(CFG.motion.outlier)
+    drive = gtsam.noiseModel.mEstimator.Cauchy.Create(MOTION_NOISE_OUTLIER)
     for k, (step, Q) in enumerate(zip(*steps_of(part), strict=True)):
         if np.isfinite(part.instants.gap[k]):
             noise = gtsam.noiseModel.Gaussian.Covariance(Q)
@@ -114,7 +115,7 @@ def add_sightings(
 ) -> None:
     """What a robot saw of others, whose first poses have the keys `first`, and of landmarks."""
     camera, table = CFG.camera, part.seen
-    sight = gtsam.noiseModel.mEstimator.Cauchy.Create(camera.outlier)
+    sight = gtsam.noiseModel.mEstimator.Cauchy.Create(CAMERA_NOISE_OUTLIER)
     near, way = part.instants.from_nearest(table.t)
     point = table.range[:, None] * np.stack([np.cos(table.bearing), np.sin(table.bearing)], axis=-1)
     there = np.stack([se2.act(w, p[None])[0] for w, p in zip(way, point, strict=True)])

@@ -18,7 +18,7 @@ import numpy as np
 
 from mapweave.core import se2
 from mapweave.io.laser_logs import read_laser
-from mapweave.laser.beam import Beams, IntensityCalibration, beams, calibrated
+from mapweave.laser.beam import CALIBRATION_WINDOW, Beams, IntensityCalibration, beams, calibrated
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import calibrating, ways
 from mapweave.sim.laser import FITTED
@@ -54,8 +54,8 @@ def fit(path: Path) -> Law:
     law = made.whole
     at = np.array(FITTED)
     off = np.full((len(scans), max(len(scan.ranges) for scan in log.scans)), np.nan)
-    for start in range(0, len(scans), cfg.calibration.window):
-        _differences(off, scans, poses, range(start, min(start + cfg.calibration.window, len(scans))), law)
+    for start in range(0, len(scans), CALIBRATION_WINDOW):
+        _differences(off, scans, poses, range(start, min(start + CALIBRATION_WINDOW, len(scans))), law)
     capped = np.clip(off, -CAP, CAP)
     hits = np.isfinite(capped).sum(axis=0)
     own = np.array([np.nanmean(column) for column in capped.T[hits > 2 * HITS]])

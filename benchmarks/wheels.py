@@ -18,7 +18,7 @@ from mapweave.core import se2
 from mapweave.io.laser_logs import read_laser
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import map_laser
-from mapweave.sim.laser_team import OdometryNoise, Wheels
+from mapweave.sim.laser_team import ODOMETRY_NOISE_ROTATION, ODOMETRY_NOISE_TRANSLATION, OdometryNoise, Wheels
 
 MIDDLE = 0.4549  # median of a squared standard normal error
 
@@ -39,8 +39,8 @@ def factors(pose: np.ndarray, odometry: np.ndarray, stretch: float) -> dict[str,
     way = np.array([np.abs(step[a:b, 0]).sum() for a, b in cut])
     heading = np.array([(told[a:b, 2] - step[a:b, 2]).sum() for a, b in cut])
     length = np.array([(told[a:b, 0] - step[a:b, 0]).sum() for a, b in cut])
-    var = {"heading": c.rotation**2 * way + c.turning**2 * turn + (c.bias * way) ** 2}
-    var["length"] = c.translation**2 * way + (c.scale * way) ** 2
+    var = {"heading": ODOMETRY_NOISE_ROTATION**2 * way + c.turning**2 * turn + (c.bias * way) ** 2}
+    var["length"] = ODOMETRY_NOISE_TRANSLATION**2 * way + (c.scale * way) ** 2
     out = {}
     for name, error in (("heading", heading), ("length", length)):
         ratio = error**2 / var[name]

@@ -59,3 +59,13 @@ def test_as_much_as_is_allowed_may_be_asked_and_neither_more_nor_nan():
     for value, found in ((5.5, "5.5"), (float("nan"), "nan")):
         with pytest.raises(UsageError, match=f"--rooms: expected at most 5, found {found}"):
             expect_at_most({"--beams": (5, 5), "--rooms": (value, 5)})
+
+
+def test_keys_that_became_constants_are_named_in_one_message(tmp_path):
+    path = tmp_path / "old.toml"
+    path.write_text("[laser.filter]\nrefine_kappa = 0.2\nwrong = 1\n[laser.jump]\ndrop = 0.3\n")
+    with pytest.raises(ConfigError) as told:
+        load(LaserMapConfig, path)
+    assert "laser.filter.wrong: unknown key" in str(told.value)
+    assert "constants since 0.2, to be left out: laser.filter.refine_kappa, laser.jump" in str(told.value)
+    assert str(told.value).count("since 0.2") == 1

@@ -8,6 +8,10 @@ import pytest
 from mapweave.core import se2
 from mapweave.fusion.alignment import JointFit, joint_fit
 from mapweave.fusion.identities import (
+    CHI2_PER_DOF,
+    IDENTITY_CHANCE,
+    IDENTITY_LINKS,
+    IDENTITY_ODDS,
     AlignmentCandidate,
     IdentityConfig,
     _assigned,
@@ -268,11 +272,11 @@ def candidate(links, chi2, evidence=9.0):
 
 def test_a_rival_must_fit_and_be_another_alignment():
     links = np.stack([np.arange(5), np.arange(5)], axis=1)
-    limit = CFG.chi2_per_dof * (2 * 5 - 3)
-    assert _fits(candidate(links, 0.99 * limit), CFG)
-    assert not _fits(candidate(links, 1.01 * limit), CFG)
-    assert not _fits(candidate(links[:2], 0.0), CFG)
-    assert _fits(candidate(links[:3], 0.0), CFG)
+    limit = CHI2_PER_DOF * (2 * 5 - 3)
+    assert _fits(candidate(links, 0.99 * limit))
+    assert not _fits(candidate(links, 1.01 * limit))
+    assert not _fits(candidate(links[:2], 0.0))
+    assert _fits(candidate(links[:3], 0.0))
     m = a_map(np.random.default_rng(1).uniform(0, 3, (8, 2)))
     best = candidate(links, 1.0)
     away = JointFit(np.array([2.0, 1.0, 0.7]), 1.0, 1.0, np.zeros(5))
@@ -286,17 +290,17 @@ def test_a_rival_must_fit_and_be_another_alignment():
 def test_a_match_is_refused_for_too_few_links_a_rival_as_likely_a_misfit_or_as_chance():
     links = np.zeros((7, 2), dtype=int)
     good = candidate(links, 10.0)
-    enough = np.log(CFG.odds)
-    assert _refusal(good, 0, 7.0, CFG) == ""
-    assert "are needed" in _refusal(candidate(links[: CFG.links - 1], 9.0), 0, 7.0, CFG)
-    assert _refusal(candidate(links[: CFG.links], 9.0), 0, 6.0, CFG) == ""
-    assert "another alignment" in _refusal(good, 6, enough - 0.01, CFG)
-    assert _refusal(good, 6, enough + 0.01, CFG) == ""
-    limit = CFG.chi2_per_dof * 11
-    assert _refusal(candidate(links, 0.99 * limit), 0, 7.0, CFG) == ""
-    assert "do not fit" in _refusal(candidate(links, 1.01 * limit), 0, 7.0, CFG)
-    assert _chance(candidate(links, 1.0, np.log(CFG.chance) + 0.01), 20, 20, CFG) == ""
-    assert "may be chance" in _chance(candidate(links, 1.0, np.log(CFG.chance) - 0.01), 20, 20, CFG)
+    enough = np.log(IDENTITY_ODDS)
+    assert _refusal(good, 0, 7.0) == ""
+    assert "are needed" in _refusal(candidate(links[: IDENTITY_LINKS - 1], 9.0), 0, 7.0)
+    assert _refusal(candidate(links[:IDENTITY_LINKS], 9.0), 0, 6.0) == ""
+    assert "another alignment" in _refusal(good, 6, enough - 0.01)
+    assert _refusal(good, 6, enough + 0.01) == ""
+    limit = CHI2_PER_DOF * 11
+    assert _refusal(candidate(links, 0.99 * limit), 0, 7.0) == ""
+    assert "do not fit" in _refusal(candidate(links, 1.01 * limit), 0, 7.0)
+    assert _chance(candidate(links, 1.0, np.log(IDENTITY_CHANCE) + 0.01), 20, 20) == ""
+    assert "may be chance" in _chance(candidate(links, 1.0, np.log(IDENTITY_CHANCE) - 0.01), 20, 20)
 
 
 def crowded(off, seed=8):

@@ -4,11 +4,11 @@ import numpy as np
 
 from mapweave.core import se2
 from mapweave.core.gaussian import is_positive_definite
-from mapweave.fusion.config import FuseConfig
+from mapweave.fusion.config import START_TOLERANCE
 from mapweave.fusion.result import APART, Component, Decision, Fusion, placed_by_sightings, tie_by_starts
 from mapweave.landmarks.landmark_map import LandmarkMap
 
-TOLERANCE = FuseConfig().start_tolerance
+TOLERANCE = START_TOLERANCE
 
 
 def component(robots, ids, seed):

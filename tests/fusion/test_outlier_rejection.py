@@ -6,7 +6,7 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.fusion.alignment import RigidFit
-from mapweave.fusion.config import FuseConfig
+from mapweave.fusion.config import FUSE_REFUSE, GATE_SIGMAS, FuseConfig
 from mapweave.fusion.initial_frames import (
     Consensus,
     Entries,
@@ -79,7 +79,7 @@ def test_the_others_place_of_a_landmark_is_their_mean_with_the_variance_of_a_mea
     np.testing.assert_allclose(place[0], points["a"], atol=1e-9)
     np.testing.assert_allclose(place[1], points["b"] + [0.15, 0.0], atol=1e-9)
     np.testing.assert_allclose(variance, [8e-4, (8e-4 + 2e-4) / 4, (8e-4 + 2e-4) / 4])
-    np.testing.assert_allclose(cluster.gates(0, 0.01), FuseConfig().gate_sigmas * np.sqrt(variance + 2e-4))
+    np.testing.assert_allclose(cluster.gates(0, 0.01), GATE_SIGMAS * np.sqrt(variance + 2e-4))
     np.testing.assert_allclose(cluster.gates(0, 7.0), 7.0)
     assert [cluster.shared(k) for k in range(3)] == [3, 4, 3]
     assert cluster.others(2)[0].tolist() == [True, True, True, False]
@@ -259,5 +259,5 @@ def test_maps_agree_when_the_median_of_what_they_share_lies_within_the_limit(off
     cluster = Consensus(Entries.of(maps([NAMES, NAMES], places())), FuseConfig())
     cluster.place(0, FRAMES[0])
     residual = np.array([0.0, 0.1, 0.2, off, off, 3.0, 9.0, 20.0])
-    assert FuseConfig().refuse == 0.5
+    assert FUSE_REFUSE == 0.5
     assert cluster.agrees(1, RigidFit(FRAMES[1], residual, residual < 0.35)) is agrees

@@ -8,7 +8,7 @@ import pytest
 from mapweave.core import se2
 from mapweave.core.errors import EstimateError
 from mapweave.fusion import relative, relative_information, robot_sightings
-from mapweave.fusion.relative import RelativeConfig, as_measurement, fuse_relative
+from mapweave.fusion.relative import RELATIVE_PRIOR_FRAME_VARIANCE, RelativeConfig, as_measurement, fuse_relative
 from mapweave.fusion.robot_sightings import FrameSightings
 from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.papers.kojima import rls
@@ -192,7 +192,7 @@ def test_the_dense_recursion_reaches_the_information_form_when_linearised_there(
     lay, place = fused.layout, {n: i for i, n in enumerate(fused.ids)}
     told = [as_measurement(k, m, fused.pairs[k], place, cfg) for k, m in enumerate(maps)][1:]
     prior = np.full(lay.size, 1e-2)
-    prior[: lay.first_landmark] = cfg.prior_frame_variance
+    prior[: lay.first_landmark] = RELATIVE_PRIOR_FRAME_VARIANCE
     Lambda = np.diag(1 / prior)
     for m in told:
         H = m.dense_jacobian(lay, fused.x)

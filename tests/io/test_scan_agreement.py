@@ -8,9 +8,8 @@ import pytest
 from mapweave.core import se2
 from mapweave.core.records import Scan
 from mapweave.io.assemble import RawLog, RawScan
-from mapweave.io.scan_checks import ScanAgreementConfig, scan_agreement
+from mapweave.io.scan_checks import scan_agreement
 
-CFG = ScanAgreementConfig()
 REACH = 30.0
 
 
@@ -51,10 +50,10 @@ def drive(seed: int, size=(12.0, 9.0), *, mount=0.0, scale=1.0, wheels=lambda po
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_right_log_is_left_alone_in_halls_and_corridors(seed):
     found = scan_agreement(drive(seed))
-    assert found.finding("1", CFG) is None
+    assert found.finding("1") is None
     assert found.scale == pytest.approx(1.0, abs=0.15)
     assert found.direction == pytest.approx(0.0, abs=0.1)
-    assert scan_agreement(drive(seed, (400.0, 2.0))).finding("1", CFG) is None
+    assert scan_agreement(drive(seed, (400.0, 2.0))).finding("1") is None
 
 
 @pytest.mark.parametrize(
@@ -69,7 +68,7 @@ def test_a_right_log_is_left_alone_in_halls_and_corridors(seed):
 )
 def test_what_contradicts_the_wheels_is_told(wrong, told):
     for seed in (3, 4):
-        found = scan_agreement(drive(seed, **wrong)).finding("1", CFG)
+        found = scan_agreement(drive(seed, **wrong)).finding("1")
         assert found is not None
         assert re.match(r"(?s).*" + told, found.text), found
 

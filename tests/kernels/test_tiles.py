@@ -6,7 +6,7 @@ import pytest
 from mapweave.kernels.laser.refine import ScanCost, refine
 from mapweave.kernels.laser.resample import systematic
 from mapweave.kernels.laser.windows import NearestRule
-from mapweave.laser.particle_grid import CellConfig, ParticleGrid
+from mapweave.laser.particle_grid import CELL_CAP, MOST_WEIGHT, CellConfig, ParticleGrid
 
 pytestmark = pytest.mark.kernel
 
@@ -32,7 +32,7 @@ class SlowMaps:
         )
 
     def score(self, poses, points):
-        out = np.full((len(poses), len(points)), CFG.cap)
+        out = np.full((len(poses), len(points)), CELL_CAP)
         for p, pose in enumerate(poses):
             for i, z in enumerate(self.world(pose, points)):
                 a, b = np.floor(z[:2] / CFG.size).astype(int)
@@ -53,7 +53,7 @@ class SlowMaps:
                     self.cells[p][key] = np.array([*z, w])
                 else:
                     old[:3] += w / (old[3] + w) * (z - old[:3])
-                    old[3] = min(CFG.most_weight, old[3] + w)
+                    old[3] = min(MOST_WEIGHT, old[3] + w)
 
     def resample(self, ancestors):
         self.cells = [{k: v.copy() for k, v in self.cells[a].items()} for a in ancestors]
@@ -123,7 +123,7 @@ def test_searching_the_grid_finds_the_least_distance_wherever_it_lies_inside_the
         np.abs(np.floor(cells[D.argmin(axis=1), :2] / CFG.size) - np.floor(asked[:, :2] / CFG.size)).max(axis=1) <= 1
     )
     assert inside.sum() > 20
-    assert np.allclose(found[inside], np.minimum(D.min(axis=1), CFG.cap)[inside], atol=1e-5)
+    assert np.allclose(found[inside], np.minimum(D.min(axis=1), CELL_CAP)[inside], atol=1e-5)
 
 
 def test_maps_that_share_tiles_do_not_see_what_is_written_to_each_other():
@@ -168,7 +168,7 @@ def test_a_map_grows_with_the_world_and_keeps_what_it_had():
         grid.check()
     assert (grid.score(row, poses[:1], points) < 1e-4).all()
     assert (grid.score(row, poses[2:], points) < 1e-4).all()
-    assert (grid.score(row, np.array([[900.0, 900.0, 0.0]]), points) == np.float32(CFG.cap)).all()
+    assert (grid.score(row, np.array([[900.0, 900.0, 0.0]]), points) == np.float32(CELL_CAP)).all()
 
 
 def test_systematic_resampling_draws_each_particle_floor_or_ceil_of_its_share_and_survivors_stay():
@@ -203,11 +203,11 @@ def test_a_beam_is_compared_with_all_nine_cells_around_it_however_many_beams_the
         poses = poses + rng.normal(0, [0.05, 0.05, 0.02], (3, 3))
     got, want = fast.score(np.arange(3), poses, points), slow.score(poses, points)
     assert (np.abs(got - want) > 1e-4).mean() <= 0.02  # beams whose cell two roundings put differently
-    assert 0.0 < (got < CFG.cap).mean() <= 1.0
+    assert 0.0 < (got < CELL_CAP).mean() <= 1.0
     least, normals = np.full((3, n), -1.0, np.float32), np.tile([1.0, 0.0], (n, 1))
     moved = refine(
         fast.tile_maps, np.arange(3), poses, points, normals,
-        NearestRule(CFG.alpha, CFG.cap), ScanCost(1e4, 0.5, 0.1), np.eye(3), 3, least,
+        NearestRule(CFG.alpha, CELL_CAP), ScanCost(1e4, 0.5, 0.1), np.eye(3), 3, least,
     )  # fmt: skip
     assert np.abs(moved - poses).max() > 1e-3
     np.testing.assert_array_equal(least, fast.score(np.arange(3), moved, points))

@@ -61,7 +61,7 @@ def test_a_scale_is_the_weighted_median_and_tells_how_much_it_explains():
 def test_wheels_of_another_calibration_are_left_to_the_estimator(seed, speed, turn):
     log = with_wheels(a_log(seed), 1 / speed, 1 / turn)
     assert with_wheels_checked(log, EKF) is log
-    found = Agreement.of(log.sightings, log.odometry, EKF, CFG)
+    found = Agreement.of(log.sightings, log.odometry, EKF)
     assert found.speed.value == pytest.approx(speed, rel=0.1)
     assert found.turn.value == pytest.approx(0.92 * turn, rel=0.15)
 

@@ -32,7 +32,7 @@ def rmse(tied):
 
 def test_overlapping_pieces_give_one_map_more_certain_than_each():
     pieces = [piece("abcdef", 1), piece("efghij", 2), piece("defg", 3)]
-    tied = join_pieces(pieces, CFG)
+    tied = join_pieces(pieces)
     assert tied.ids == NAMES
     assert set(tied.frames) == {0, 1, 2}
     assert rmse(tied) < 0.08
@@ -44,7 +44,7 @@ def test_errors_are_what_the_covariance_says():
     nees = []
     for seed in range(60):
         pieces = [piece("abcdef", 10 * seed + 1), piece("efghij", 10 * seed + 2), piece("defg", 10 * seed + 3)]
-        tied = join_pieces(pieces, CFG)
+        tied = join_pieces(pieces)
         points = truth()[[NAMES.index(n) for n in tied.ids]]
         T = se2.align(tied.mean, points)
         q, R = se2.act(T, tied.mean), np.kron(np.eye(len(tied.ids)), se2.rotation(T[2]))
@@ -61,14 +61,14 @@ def test_errors_are_what_the_covariance_says():
 def test_a_large_piece_that_is_wrong_is_left_out():
     wrong = piece("abcdefghi", 4)
     bent = LandmarkMap(wrong.ids, wrong.mean * np.array([1.0, 0.4]), wrong.cov)
-    tied = join_pieces([bent, piece("abcdef", 1), piece("efghij", 2), piece("cdefgh", 3)], CFG)
+    tied = join_pieces([bent, piece("abcdef", 1), piece("efghij", 2), piece("cdefgh", 3)])
     assert 0 not in tied.frames
     assert tied.ids == NAMES
     assert rmse(tied) < 0.06
 
 
 def test_a_piece_that_shares_one_landmark_is_left_out():
-    tied = join_pieces([piece("abcde", 1), piece("efgh", 2)], CFG)
+    tied = join_pieces([piece("abcde", 1), piece("efgh", 2)])
     assert tied.ids == tuple("abcde")
     assert list(tied.frames) == [0]
 
@@ -89,7 +89,7 @@ def test_a_piece_whose_fit_runs_away_is_left_out():
         ]
     )
     other = LandmarkMap(("6", "8", "7"), np.array([[4.24, -1.54], [2.97, 0.46], [4.66, 1.06]]), bent)
-    tied = join_pieces([shared, other], EkfSlamConfig())
+    tied = join_pieces([shared, other])
     assert list(tied.frames) == [0]
     assert np.isfinite(tied.cov).all()
     np.testing.assert_allclose(tied.mean[list(tied.ids).index("6")], [3.21, -1.67])

@@ -15,7 +15,7 @@ from mapweave.core.records import Odometry
 from mapweave.evaluation.consistency import mean_or_none
 from mapweave.evaluation.team import score_team
 from mapweave.io.landmark_logs import read_landmark_logs
-from mapweave.landmarks.agreement import SiftConfig, sifted, witnesses
+from mapweave.landmarks.agreement import sifted, witnesses
 from mapweave.landmarks.config import EkfSlamConfig
 from mapweave.landmarks.mapping import local_map
 
@@ -145,8 +145,7 @@ def test_a_team_with_three_in_ten_sightings_wrong_is_as_good_as_one_told_everyth
 @pytest.mark.parametrize("number", [1, 3, 4, 6])
 def test_real_logs_are_not_sifted(data, number):
     for log in read_landmark_logs(data / "mrclam" / f"MRCLAM_Dataset{number}.zip"):
-        cfg = SiftConfig()
-        found = witnesses(log.sightings, log.odometry, EKF, cfg) if log.odometry is not None else None
+        found = witnesses(log.sightings, log.odometry, EKF) if log.odometry is not None else None
         if found is not None:
-            assert found.contradicted(cfg).sum() < 0.01 * len(log.sightings)
+            assert found.contradicted().sum() < 0.01 * len(log.sightings)
         assert sifted(log, EKF) is log

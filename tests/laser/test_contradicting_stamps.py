@@ -4,9 +4,8 @@ import numpy as np
 
 from mapweave.core.laser_log import LaserLog
 from mapweave.core.records import Track
-from mapweave.laser.config import MomentConfig
 from mapweave.mapping.config import LaserConfig
-from mapweave.mapping.laser_mapping import map_laser, of_one_moment
+from mapweave.mapping.laser_mapping import MOMENT_WITHIN, map_laser, of_one_moment
 from mapweave.sim.laser_worlds import CorridorConfig, simulate_corridor
 
 
@@ -15,8 +14,8 @@ def driving(t):
 
 
 def test_poses_of_one_moment_that_agree_stay_to_the_bit():
-    t = np.sort(np.concatenate([np.arange(0.0, 5.0, 0.1), np.arange(0.0, 5.0, 0.1) + 0.5 * MomentConfig().within]))
-    pose, moved = of_one_moment(t, driving(t), np.arange(len(t)) % 2 == 0, MomentConfig())
+    t = np.sort(np.concatenate([np.arange(0.0, 5.0, 0.1), np.arange(0.0, 5.0, 0.1) + 0.5 * MOMENT_WITHIN]))
+    pose, moved = of_one_moment(t, driving(t), np.arange(len(t)) % 2 == 0)
     assert not moved.any()
     np.testing.assert_array_equal(pose, driving(t))
 
@@ -25,7 +24,7 @@ def test_a_pose_against_two_of_the_same_moment_goes_to_them_and_those_of_other_m
     t = np.array([1.0, 2.0, 2.001, 2.0015, 2.005, 3.0])
     given = driving(t)
     given[1, 0] += 0.3
-    pose, moved = of_one_moment(t, given, np.zeros(6, dtype=bool), MomentConfig())
+    pose, moved = of_one_moment(t, given, np.zeros(6, dtype=bool))
     np.testing.assert_array_equal(moved, [False, True, True, True, False, False])
     np.testing.assert_allclose(pose[1:4, 0], driving(t)[2:4, 0].mean(), atol=0.002)
     np.testing.assert_array_equal(pose[[0, 4, 5]], given[[0, 4, 5]])
@@ -33,15 +32,13 @@ def test_a_pose_against_two_of_the_same_moment_goes_to_them_and_those_of_other_m
 
 def test_a_scan_outweighs_a_row_of_odometry():
     t = np.array([2.0, 2.001])
-    pose, _ = of_one_moment(t, np.array([[0.0, 0, 0], [0.3, 0, 0]]), np.array([True, False]), MomentConfig())
+    pose, _ = of_one_moment(t, np.array([[0.0, 0, 0], [0.3, 0, 0]]), np.array([True, False]))
     np.testing.assert_allclose(pose, 0.0, atol=1e-12)
 
 
 def test_headings_meet_across_half_a_turn():
     t = np.array([2.0, 2.001])
-    pose, moved = of_one_moment(
-        t, np.array([[0.0, 0, np.pi - 0.1], [0.0, 0, 0.1 - np.pi]]), np.ones(2, dtype=bool), MomentConfig()
-    )
+    pose, moved = of_one_moment(t, np.array([[0.0, 0, np.pi - 0.1], [0.0, 0, 0.1 - np.pi]]), np.ones(2, dtype=bool))
     assert moved.all()
     np.testing.assert_allclose(np.abs(pose[:, 2]), np.pi, atol=1e-9)
 

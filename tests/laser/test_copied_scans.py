@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mapweave.laser.log_warnings import CopyCheck, copies_found
+from mapweave.laser.log_warnings import copies_found
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import map_laser
 from mapweave.sim.laser_worlds import OfficeConfig, simulate_office
@@ -27,11 +27,11 @@ def test_a_drive_given_again_with_other_stamps_or_half_its_scans_is_told(drives)
     late = replace(first, robot="2", scan_t=first.scan_t + 500.0, odometry=None)
     some = replace(first, robot="3", scan_t=first.scan_t[::2], scans=first.scans[::2])
     graphs = [map_laser(log, CFG, 0).graph.stored() for log in (first, late, some)]
-    told = copies_found(graphs, CopyCheck())
+    told = copies_found(graphs)
     assert [(f.robot, f.value["other"]) for f in told] == [("2", "robot1"), ("3", "robot1"), ("3", "robot2")]
     assert {f.code for f in told} == {"logs-alike"}
     assert told[0].value["same"] == told[0].value["all"] == len(graphs[0])
 
 
 def test_two_drives_by_one_way_are_no_copies(drives):
-    assert copies_found([map_laser(log, CFG, 0).graph.stored() for log in drives], CopyCheck()) == []
+    assert copies_found([map_laser(log, CFG, 0).graph.stored() for log in drives]) == []

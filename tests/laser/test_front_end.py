@@ -9,7 +9,7 @@ from mapweave.core import se2
 from mapweave.kernels.laser.local_map import count_matches
 from mapweave.laser.beam import BeamConfig, beams
 from mapweave.laser.closures import ClosureConfig, Place, PlaceMatcher
-from mapweave.laser.scan_matching import FrontEnd, FrontEndConfig
+from mapweave.laser.scan_matching import FRONT_END_COARSE, KEYFRAME_DISTANCE, FrontEnd, FrontEndConfig
 
 from .test_scan_matching import box_scan
 
@@ -34,7 +34,7 @@ def test_a_scan_becomes_a_keyframe_far_enough_from_the_last_in_place_or_heading(
     pose = np.zeros(3)
     for _ in range(40):
         d = np.full(3, np.inf) if last is None else se2.between(last, pose)
-        far = np.hypot(d[0], d[1]) >= CFG.keyframe_distance or abs(d[2]) >= CFG.keyframe_turn
+        far = np.hypot(d[0], d[1]) >= KEYFRAME_DISTANCE or abs(d[2]) >= CFG.keyframe_turn
         assert fe.insert(seen(pose), pose) == far
         if far:
             last, kept = pose, kept + 1
@@ -97,7 +97,9 @@ def test_a_search_begins_where_most_returns_match_of_all_starts_within_reach(sd)
 
     def fits(pose):
         s, normal, q = (np.ascontiguousarray(a[thin]) for a in (b.s, b.normal, b.q))
-        return count_matches(matcher.front_end.coarse, CFG.coarse, s, normal, q, 0.0, CFG.agree, pose, cfg.search_reach)
+        return count_matches(
+            matcher.front_end.coarse, FRONT_END_COARSE, s, normal, q, 0.0, CFG.agree, pose, cfg.search_reach
+        )
 
     reach = np.minimum(cfg.search_sd * sd, [0.9, 0.9, 0.1])
     steps = np.array([cfg.search_step, cfg.search_step, cfg.search_turn_step])

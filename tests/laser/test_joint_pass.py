@@ -9,6 +9,11 @@ from mapweave.core import se2
 from mapweave.core.records import frozen
 from mapweave.kernels.laser.joint_scans import LineGate, beams_by_direction, match_beam, match_pairs, refine_poses
 from mapweave.laser.joint_pass import (
+    JOINT_PASS_AGREE,
+    JOINT_PASS_BLUR,
+    JOINT_PASS_GATE,
+    JOINT_PASS_REACH,
+    JOINT_PASS_SECTORS,
     JointPassConfig,
     joint_pass,
     keyframe_cloud,
@@ -201,12 +206,14 @@ def test_a_round_is_the_dense_step_of_steps_ties_and_all_pairs_that_enough_retur
     for i, j, z, information in edges:
         here, R = se2.between(pose[i], pose[j]), se2.turn(-float(z[2]))  # residuals are in the frame that is measured
         added(i, j, R.T @ information @ R, R.T @ information @ se2.between(z, here))
-    counted, index, pairs = 0, cloud.index(cfg.sectors), paired(pose, cfg)
+    counted, index, pairs = 0, cloud.index(JOINT_PASS_SECTORS), paired(pose, cfg)
     for i, j in [*pairs.tolist(), *pairs[:, ::-1].tolist()]:
         ends = np.array([i]), np.array([j]), np.asarray(se2.between(pose[i], pose[j]))[None]
-        W, pull, _, near = match_pairs(*ends, cloud.lines, index, LineGate(cfg.gate * 0.08, cfg.agree), 0.08)
+        W, pull, _, near = match_pairs(
+            *ends, cloud.lines, index, LineGate(JOINT_PASS_GATE * 0.08, JOINT_PASS_AGREE), 0.08
+        )
         if near[0] >= 20 and near[0] >= 0.7 * cloud.lined[cloud.start[j] : cloud.start[j + 1]].sum():
-            W, pull = without_scatter(W, pull, cfg.blur)
+            W, pull = without_scatter(W, pull, JOINT_PASS_BLUR)
             added(i, j, 0.2 / 0.03**2 * W[0], 0.2 / 0.03**2 * pull[0])
             counted += 1
     assert 4 < counted < 2 * len(pairs)
@@ -226,7 +233,7 @@ def test_scans_are_laid_on_the_keyframes_around_them_but_not_on_themselves():
     own = np.array([-1, -1, 0, 1])
     laid = lay_scans(start, scans, truth, cloud, own, replace(CFG, scan_widths=(0.1, 0.06, 0.04, 0.04)))
     assert np.abs(se2.between(poses, laid)).max() < 0.02
-    near = neighbours(poses, truth, 5, CFG, own)
+    near = neighbours(poses, truth, 5, own)
     assert 0 not in near[2]
     assert 1 not in near[3]
 
@@ -256,7 +263,7 @@ def test_keyframes_are_paired_once_with_neighbours_in_the_drive_and_in_space():
     assert len(np.unique(pairs, axis=0)) == len(pairs)
     held = {tuple(p) for p in pairs.tolist()}
     assert {(0, 1), (0, 2), (5, 25)} <= held
-    assert (0, 3) not in held or cfg.reach >= 3  # by space only
+    assert (0, 3) not in held or JOINT_PASS_REACH >= 3  # by space only
     turned = pose.copy()
     turned[20:, 2] = np.pi  # looking back: nothing in common
     assert (5, 25) not in {tuple(p) for p in paired(turned, cfg).tolist()}

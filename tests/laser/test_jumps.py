@@ -7,9 +7,7 @@ import pytest
 
 from mapweave.core.records import Scan
 from mapweave.laser.laser_map import ScanRecords
-from mapweave.laser.log_warnings import JumpCheck, jumps
-
-CFG = JumpCheck()
+from mapweave.laser.log_warnings import jumps
 
 
 def drive(share, way=0.1, turn=0.0, beams=100):
@@ -32,7 +30,7 @@ def drive(share, way=0.1, turn=0.0, beams=100):
 
 
 def test_a_scene_that_changes_at_once_is_told_with_when_and_by_how_much():
-    (told,) = jumps(*drive([1.0, 0.9, 0.95, 0.2, 0.8, 0.9, 0.1]), "1", CFG)
+    (told,) = jumps(*drive([1.0, 0.9, 0.95, 0.2, 0.8, 0.9, 0.1]), "1")
     assert (told.code, told.robot, told.span) == ("scene-jump", "1", (13.0, 13.0))
     assert told.value == {"now": 20.0, "before": 95.0, "way": pytest.approx(0.1), "times": 2}
 
@@ -48,20 +46,20 @@ def test_a_scene_that_changes_at_once_is_told_with_when_and_by_how_much():
     ],
 )
 def test_scenes_that_change_as_robots_drive_are_not_told(quiet):
-    assert jumps(*quiet, "1", CFG) == ()
+    assert jumps(*quiet, "1") == ()
 
 
 def test_without_odometry_nothing_is_told():
     records, scans = drive([1.0, 0.9, 0.95, 0.1, 0.8])
-    assert jumps(records, [Scan(s.ranges, s.hit, None, -1.0, 0.02, 30.0) for s in scans], "1", CFG) == ()
+    assert jumps(records, [Scan(s.ranges, s.hit, None, -1.0, 0.02, 30.0) for s in scans], "1") == ()
 
 
 def test_a_second_scanner_that_sees_walls_the_first_has_not_seen_is_no_jump():
     records, scans = drive([1.0, 0.1, 0.95, 0.15, 0.9, 0.2, 0.95, 0.3], way=0.02)
     behind = np.array([-0.3, 0.0, np.pi])
     both = [replace(scan, T_robot_sensor=behind) if k % 2 else scan for k, scan in enumerate(scans)]
-    assert jumps(records, both, "1", CFG) == ()
-    assert jumps(records, scans, "1", CFG) != ()
+    assert jumps(records, both, "1") == ()
+    assert jumps(records, scans, "1") != ()
 
 
 def test_a_drive_with_another_scanner_joined_to_a_log_is_a_jump():
@@ -69,5 +67,5 @@ def test_a_drive_with_another_scanner_joined_to_a_log_is_a_jump():
     other = [
         replace(scan, T_robot_sensor=np.array([0.4, 0.0, 0.0])) if k >= 60 else scan for k, scan in enumerate(scans)
     ]
-    (told,) = jumps(records, other, "1", CFG)
+    (told,) = jumps(records, other, "1")
     assert (told.span, told.value["now"], told.value["times"]) == ((70.0, 70.0), 20.0, 1)

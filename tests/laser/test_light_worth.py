@@ -7,9 +7,20 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.io.laser_logs import read_laser
-from mapweave.laser.beam import NO_LIGHT, WHOLE, BeamConfig, CalibrationConfig, IntensityCalibration, beams, calibrated
-from mapweave.laser.config import Feature, weighed
+from mapweave.laser.beam import (
+    CALIBRATION_WINDOW,
+    MOST_RESIDUAL,
+    NO_LIGHT,
+    WHOLE,
+    BeamConfig,
+    CalibrationConfig,
+    IntensityCalibration,
+    beams,
+    calibrated,
+)
+from mapweave.laser.config import REFINE_BARE_TANGENT, Feature, weighed
 from mapweave.laser.light_worth import BESIDE, worth
+from mapweave.laser.scan_matching import BARE_TANGENT
 from mapweave.mapping import laser_mapping
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import choose_feature, contradicting, map_laser
@@ -71,7 +82,7 @@ def test_light_shuffled_along_walls_of_any_world_gets_no_weight(seed, tunnel):
     spoilt = (shuffled_along_walls, fixed_to_the_scanner, lambda log: of_another(log, tunnel.scans))
     feature = choose_feature(spoilt[seed % 3](log), CFG)
     assert feature.name == "none"
-    assert feature.calibration.residual > CFG.calibration.most_residual or feature.calibration.weight == 0.0
+    assert feature.calibration.residual > MOST_RESIDUAL or feature.calibration.weight == 0.0
     assert "is not used" in feature.warnings[0]
 
 
@@ -118,7 +129,7 @@ def test_information_is_the_excess_of_places_beside_over_the_square_of_their_dis
     returns = [beams(scan, "none", None, BeamConfig()) for scan in drive.scans]
     wheels = np.array([scan.odometry for scan in drive.scans])
     cfg = CalibrationConfig()
-    told = worth(returns, wheels, calibrated(returns, wheels, cfg).halves, cfg.window)
+    told = worth(returns, wheels, calibrated(returns, wheels, cfg).halves, CALIBRATION_WINDOW)
     assert told.excess == pytest.approx(told.beside**2 / told.repeat**2 - 1, rel=1e-9)
     assert told.information == pytest.approx(told.excess / BESIDE**2)
     assert told.pairs > 1000
@@ -146,13 +157,13 @@ def test_settings_lie_between_those_without_light_and_those_with_it_as_its_weigh
     half = of(WHOLE / 2)
     front, f = CFG.front_end, CFG.filter
     assert half.front_end.alpha == front.alpha / 2
-    assert half.front_end.tangent == pytest.approx((front.bare_tangent + front.tangent) / 2)
+    assert half.front_end.tangent == pytest.approx((BARE_TANGENT + front.tangent) / 2)
     assert half.cells.alpha == CFG.cells.alpha / 2
     assert half.icp.alpha == CFG.icp.alpha / 2
     assert half.filter.neff == (f.bare_neff + f.neff) / 2
-    assert half.filter.refine_tangent == pytest.approx((f.refine_bare_tangent + f.refine_tangent) / 2)
+    assert half.filter.refine_tangent == pytest.approx((REFINE_BARE_TANGENT + f.refine_tangent) / 2)
     none = of(0.0)
-    assert (none.front_end.alpha, none.front_end.tangent) == (0.0, front.bare_tangent)
+    assert (none.front_end.alpha, none.front_end.tangent) == (0.0, BARE_TANGENT)
     assert (none.cells.alpha, none.filter.neff) == (0.0, f.bare_neff)
     assert weighed(CFG, Feature("none", None)) == CFG
 

@@ -9,7 +9,7 @@ from mapweave.core import se2
 from mapweave.laser.beam import Beams
 from mapweave.laser.laser_map import GridMap
 from mapweave.laser.likelihood_field import nearest_field
-from mapweave.laser.localise_trust import LocalisedScan, TrustConfig, evidence
+from mapweave.laser.localise_trust import LEAST_OCCUPANCY, LocalisedScan, TrustConfig, evidence
 
 CELL = 0.1
 RNG = np.random.default_rng(5)
@@ -61,7 +61,7 @@ def asked(made, part, believed, light=True, searched=True, **cfg):
     return evidence(
         seen,
         made,
-        nearest_field(made, TrustConfig().least_occupancy),
+        nearest_field(made, LEAST_OCCUPANCY),
         light=light,
         searched=searched,
         cfg=replace(TrustConfig(), **cfg),

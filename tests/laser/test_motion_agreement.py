@@ -10,6 +10,9 @@ from mapweave.core import se2
 from mapweave.core.records import Scan
 from mapweave.laser.beam import BeamConfig
 from mapweave.laser.motion_agreement import (
+    MOTION_LEAST,
+    MOTION_TURN,
+    MOTION_WAY,
     MotionAgreement,
     MotionCheck,
     MotionRatio,
@@ -131,23 +134,22 @@ def test_without_odometry_there_is_nothing_to_say():
 def test_ways_follow_each_other_and_leave_turns_and_standing_out():
     x = np.concatenate([np.arange(0.0, 2.0, 0.1), np.full(30, 2.0), np.arange(2.0, 4.0, 0.1)])
     wheels = np.column_stack([x, 0 * x, np.where(x < 3.0, 0.0, 0.8 * (x - 3.0) / 0.5)])
-    found = ways(wheels, CFG)
+    found = ways(wheels)
     assert len(found) > 4
     assert all(end <= begin for (_, end), (begin, _) in pairwise(found))
     for i, j in found:
         step = se2.between(wheels[i], wheels[j])
-        assert abs(step[2]) <= CFG.turn
-        assert np.hypot(step[0], step[1]) >= CFG.way / 2
-    assert ways(np.zeros((50, 3)), CFG) == []
+        assert abs(step[2]) <= MOTION_TURN
+        assert np.hypot(step[0], step[1]) >= MOTION_WAY / 2
+    assert ways(np.zeros((50, 3))) == []
 
 
 def test_a_ratio_is_a_median_and_as_sure_as_medians_of_its_parts_agree():
     rng = np.random.default_rng(5)
-    cfg = MotionCheck()
     values = rng.normal([[0.9, 0.02]], [[0.05, 0.2]], size=(4000, 2))
-    measured = _measured(values, cfg)
+    measured = _measured(values)
     for told, true, sd in zip(measured, (0.9, 0.02), (0.05, 0.2), strict=True):
         honest = np.sqrt(np.pi / 2) * sd / np.sqrt(4000)
         assert abs(told.value - true) < 4 * honest
         assert honest / 2.5 < told.sd < 2.5 * np.sqrt(np.pi / 2) * honest
-    assert _measured(values[: cfg.least - 1], cfg) is None
+    assert _measured(values[: MOTION_LEAST - 1]) is None

@@ -8,7 +8,7 @@ import pytest
 from mapweave.core import se2
 from mapweave.core.records import Scan, Track, frozen
 from mapweave.kernels.walls.raycast import cast
-from mapweave.laser.log_warnings import WheelCheck, wheels_disagree, wheels_stand
+from mapweave.laser.log_warnings import wheels_disagree, wheels_stand
 from mapweave.laser.moving import MovingConfig, MovingReturns
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import map_laser
@@ -147,26 +147,26 @@ def way(*lengths):
 def test_only_a_long_disagreement_of_scans_and_wheels_is_a_warning():
     wheels = way(*[2.0] * 12)
     for short in (way(*[2.0] * 12), way(*[2.0] * 5, 1.0, 1.0, *[2.0] * 5), way(*[1.8] * 12)):
-        assert wheels_disagree(short, wheels, "1", WheelCheck()) == ()
-    (told,) = wheels_disagree(way(*[2.0] * 3, *[1.0] * 6, *[2.0] * 3), wheels, "1", WheelCheck())
+        assert wheels_disagree(short, wheels, "1") == ()
+    (told,) = wheels_disagree(way(*[2.0] * 3, *[1.0] * 6, *[2.0] * 3), wheels, "1")
     assert (told.code, told.span) == ("wheels-disagree", (30.0, 91.0))
     assert told.value == {"scans": pytest.approx(6.2), "wheels": pytest.approx(12.2)}
-    assert wheels_disagree(wheels, None, "1", WheelCheck()) == ()
+    assert wheels_disagree(wheels, None, "1") == ()
 
 
 def test_wheels_that_report_no_motion_of_a_robot_that_drives_are_a_warning():
     drives = way(*[2.0] * 12)
     stands = Track(drives.t, 0.0 * drives.pose)
-    (told,) = wheels_stand(drives, stands, "1", WheelCheck())
+    (told,) = wheels_stand(drives, stands, "1")
     assert (told.code, told.span) == ("wheels-stand", (0.0, 120.0))
     assert told.value == {"way": pytest.approx(24.0), "times": 1}
     jitter = Track(drives.t, drives.pose[::-1] * 0.0 + 0.2 * (np.arange(len(drives.t)) % 2)[:, None])
-    assert wheels_stand(jitter, stands, "1", WheelCheck()) == ()
-    assert wheels_stand(drives, drives, "1", WheelCheck()) == ()
-    assert wheels_stand(drives, None, "1", WheelCheck()) == ()
+    assert wheels_stand(jitter, stands, "1") == ()
+    assert wheels_stand(drives, drives, "1") == ()
+    assert wheels_stand(drives, None, "1") == ()
     some = drives.pose.copy()
     some[30:60], some[90:] = some[30], some[90]
-    (told,) = wheels_stand(drives, Track(drives.t, some), "1", WheelCheck())
+    (told,) = wheels_stand(drives, Track(drives.t, some), "1")
     assert (told.span, told.value["times"]) == ((30.0, 59.0), 2)
     assert 11.0 < told.value["way"] < 12.0
 

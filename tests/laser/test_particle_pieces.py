@@ -10,7 +10,8 @@ from mapweave.core import se2
 from mapweave.core.records import Event, Odometry, Scan
 from mapweave.laser import particle_slam
 from mapweave.laser.beam import STEERING
-from mapweave.laser.particle_grid import CellConfig, ParticleGrid
+from mapweave.laser.config import FILTER_SHARED, FILTER_SIGMA
+from mapweave.laser.particle_grid import CELL_CAP, MOST_WEIGHT, CellConfig, ParticleGrid
 from mapweave.laser.particle_slam import _resampled, _weighed, effective, init, log_likelihood, step, trajectory
 from mapweave.mapping.config import LaserConfig
 
@@ -44,15 +45,15 @@ def test_weights_are_relative_to_the_greatest_and_the_effective_number_counts_eq
 def test_a_scans_likelihood_falls_with_the_mean_squared_misfit_of_the_beams_that_enough_particles_match():
     cfg = LaserConfig()
     rng = np.random.default_rng(1)
-    cap = cfg.cells.cap
+    cap = CELL_CAP
     D = rng.uniform(0, 1.5 * cap, (8, 30)).astype(np.float32).clip(max=cap)
     for feature, neff in (("none", cfg.filter.bare_neff), (STEERING[0], cfg.filter.neff)):
         found, count = log_likelihood(D, cfg, feature)
-        beams = [j for j in range(30) if (D[:, j] < cap).mean() >= cfg.filter.shared]
+        beams = [j for j in range(30) if (D[:, j] < cap).mean() >= FILTER_SHARED]
         assert count == len(beams)
         assert 0 < count < 30
         mean = D[:, beams].astype(float).mean(axis=1)
-        np.testing.assert_allclose(found, -neff * mean / (2 * cfg.filter.sigma**2), rtol=1e-5)
+        np.testing.assert_allclose(found, -neff * mean / (2 * FILTER_SIGMA**2), rtol=1e-5)
     nothing, none = log_likelihood(np.full((8, 30), cap, np.float32), cfg, "none")
     assert none == 0
     assert not nothing.any()
@@ -255,7 +256,7 @@ def test_a_cell_holds_the_weighted_mean_of_what_fell_into_it_and_forgets_beyond_
     cells = laid(points, [0.2, 0.6, 0.5])
     order = np.argsort(cells[:, 0])
     np.testing.assert_allclose(cells[order], [[-0.83, 0.07, 0.4, 0.5], [1.05, 0.5675, 0.5, 0.8]], atol=1e-6)
-    most = CELLS.most_weight
+    most = MOST_WEIGHT
     twice = laid([[1.02, 0.53, 0.2]], [0.3 * most], 2)
     np.testing.assert_allclose(twice[0, 3], 0.6 * most, rtol=1e-6)
     often = laid([[1.02, 0.53, 0.2]], [0.3 * most], 5)

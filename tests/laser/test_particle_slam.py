@@ -8,7 +8,7 @@ import pytest
 from mapweave.core import se2
 from mapweave.core.laser_log import LaserLog
 from mapweave.core.records import Scan
-from mapweave.laser.config import PAPER_FILTER, FilterConfig
+from mapweave.laser.config import PAPER_FILTER, PAPER_SIGMA2, FilterConfig
 from mapweave.laser.particle_slam import effective, log_likelihood, move
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import map_laser
@@ -40,7 +40,7 @@ def test_the_papers_likelihood_is_normal_in_the_mean_distance_of_the_matched_bea
     D = np.array([[0.01, 0.02, 0.04], [0.0, 0.0, 0.0]], np.float32)
     found, _ = log_likelihood(D, cfg, "none")
     d = np.array([0.015, 0.0])  # the third beam of the first particle found nothing
-    assert np.allclose(found, -(d**2) / (2 * cfg.filter.paper_sigma2**2), rtol=1e-5)
+    assert np.allclose(found, -(d**2) / (2 * PAPER_SIGMA2**2), rtol=1e-5)
 
 
 def test_losing_a_match_never_pays_when_beams_are_shared():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapweave.core.records import Track
-from mapweave.laser.log_warnings import LagCheck, lag_found, stamp_lag
+from mapweave.laser.log_warnings import LAG_CAPPED, LAG_TURN, LagCheck, lag_found, stamp_lag
 
 CFG = LagCheck()
 
@@ -30,10 +30,10 @@ def test_the_lag_of_scans_behind_odometry_is_found(seed, lag):
 
 
 def test_a_lag_is_told_with_its_length_and_which_comes_later():
-    (late,), (early,) = lag_found(0.5, "1", CFG), lag_found(-0.35, "1", CFG)
+    (late,), (early,) = lag_found(0.5, "1"), lag_found(-0.35, "1")
     assert late.text.startswith("the scans bear stamps 0.50 s after those of the odometry")
     assert early.text.startswith("the scans bear stamps 0.35 s before those of the odometry")
-    assert lag_found(None, "1", CFG) == lag_found(0.1, "1", CFG) == ()
+    assert lag_found(None, "1") == lag_found(0.1, "1") == ()
 
 
 def test_nothing_is_found_where_nothing_turns_or_headings_have_nothing_in_common():
@@ -50,8 +50,8 @@ def test_a_lag_that_explains_too_little_of_the_difference_is_not_found():
 
     def left(lag):
         turned, by = np.diff(seen), np.diff(np.interp(t - lag, odometry.t, heads))
-        turning = np.abs(turned) >= CFG.turn
-        return np.minimum(np.abs(turned - by)[turning], CFG.capped).mean()
+        turning = np.abs(turned) >= LAG_TURN
+        return np.minimum(np.abs(turned - by)[turning], LAG_CAPPED).mean()
 
     share = left(0.5) / left(0.0)
     assert 0.1 < share < 0.9

@@ -5,6 +5,9 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.laser.keyframes import (
+    STEP_NOISE_BLUR,
+    STEP_NOISE_HOLD,
+    STEP_NOISE_TRUST,
     KeyframeConfig,
     KeyframeMaker,
     StepNoise,
@@ -39,10 +42,10 @@ def test_what_walls_and_wheels_tell_adds_up_and_drift_comes_on_top(way):
     root = rng.normal(size=(3, 3)) * 50.0
     lines, wheels = root @ root.T, wheel_noise(np.array([0.8, 0.1, 0.3]), NOISE)
     cov = step_covariance(lines, wheels, way, NOISE)
-    told = believed(lines, NOISE.trust, NOISE.blur)[:2, :2]
+    told = believed(lines, STEP_NOISE_TRUST, STEP_NOISE_BLUR)[:2, :2]
     place = np.linalg.inv(told + np.linalg.inv(wheels[:2, :2])) + NOISE.drift_xy**2 * way * np.eye(2)
     np.testing.assert_allclose(cov[:2, :2], place, atol=2e-8)
-    heading = 1.0 / (NOISE.hold * lines[2, 2] + 1.0 / wheels[2, 2]) + NOISE.drift_turn**2 * way
+    heading = 1.0 / (STEP_NOISE_HOLD * lines[2, 2] + 1.0 / wheels[2, 2]) + NOISE.drift_turn**2 * way
     assert cov[2, 2] == pytest.approx(heading, rel=1e-3, abs=2e-10)
     assert not cov[2, :2].any()
     assert not cov[:2, 2].any()
@@ -53,7 +56,7 @@ def test_without_walls_a_step_errs_as_the_wheels_do_and_without_wheels_as_the_wa
     np.testing.assert_allclose(step_covariance(np.zeros((3, 3)), wheels, 0.0, NOISE), wheels, rtol=1e-3, atol=2e-8)
     lines = np.diag([4e4, 1e4, 2e4])
     blind = np.diag([1e6, 1e6, 1e6])
-    sure = believed(lines, NOISE.trust, NOISE.blur)
+    sure = believed(lines, STEP_NOISE_TRUST, STEP_NOISE_BLUR)
     np.testing.assert_allclose(
         step_covariance(lines, blind, 0.0, NOISE)[:2, :2], np.linalg.inv(sure[:2, :2]), rtol=1e-2, atol=2e-8
     )

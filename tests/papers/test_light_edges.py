@@ -11,11 +11,10 @@ from mapweave.laser.beam import beams
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import choose_feature
 from mapweave.papers.hara.experiments import along_flush_walls, geometry_bound, light_bound, score
-from mapweave.papers.hara.light_edges import LightEdgeConfig, find_rims, rim_problem, same_rims, sharpened
+from mapweave.papers.hara.light_edges import find_rims, rim_problem, same_rims, sharpened
 from mapweave.sim.laser import DriftConfig, DriveConfig
 from mapweave.sim.laser_worlds import CorridorConfig, simulate_corridor
 
-CFG = LightEdgeConfig()
 LOOP = CorridorConfig(long_leg=40.0, short_leg=10.0, distance=30.0, start=8.0)
 
 
@@ -30,13 +29,13 @@ def drive():
 
 def test_rims_stand_where_reflectance_changes_and_are_seen_in_one_place(drive):
     sim, seen, truth, noise = drive
-    rims = find_rims(seen, noise, CFG)
+    rims = find_rims(seen, noise)
     a, b = sim.world.segments[:, :2], sim.world.segments[:, 2:]
     ends = np.concatenate([a, b])
     world = se2.act(truth[rims.scan], rims.point)
     off = np.min(np.hypot(*(world[:, None] - ends).transpose(2, 0, 1)), axis=1)
     assert np.median(off) < 0.02
-    one = same_rims(rims, truth, 0.1, CFG)
+    one = same_rims(rims, truth, 0.1)
     count = np.bincount(one)
     mean = np.column_stack([np.bincount(one, world[:, k]) / count for k in range(2)])
     assert np.median(np.hypot(*(world - mean[one]).T)) < 0.02
@@ -60,8 +59,8 @@ def test_poses_off_along_the_walls_are_put_right_by_rims_and_not_by_walls(drive)
 
 def test_the_jacobian_of_a_rim_equals_finite_differences(drive):
     _, seen, truth, noise = drive
-    rims = find_rims(seen[:6], noise, CFG)
-    asked = rim_problem(rims, same_rims(rims, truth[:6], 0.1, CFG), truth[:6], (), CFG)
+    rims = find_rims(seen[:6], noise)
+    asked = rim_problem(rims, same_rims(rims, truth[:6], 0.1), truth[:6], ())
     factor = replace(asked.terms[0], sqrt_info=None)
     x = asked.x0 + np.random.default_rng(0).normal(0, 0.05, len(asked.x0))
     J = factor.jacobian(x)

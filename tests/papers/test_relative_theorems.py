@@ -92,7 +92,7 @@ def test_theorem_2_corrected_k_times_the_error_is_constant_within_1_percent(seed
 @pytest.mark.eq("Kojima12:23")
 def test_under_the_papers_own_prior_the_error_falls_as_1_over_k_at_once_and_with_delta_80_only_later():
     cfg = KojimaConfig()
-    worlds = draw_worlds(cfg, 10, np.random.default_rng(11))
+    worlds = draw_worlds(10, np.random.default_rng(11))
     local = next(run_filters(cfg, worlds, np.random.default_rng(12)))
     x = np.concatenate([worlds.start[:, 1], worlds.landmarks.reshape(10, -1)], axis=1)
     by = {(t.maps, t.delta): t for t in settling(cfg, local, x, np.random.default_rng(13))}

@@ -12,6 +12,8 @@ from mapweave.papers.hara.experiments import (
     ALPHAS,
     GLASS,
     PRINTED,
+    SPARSE_EVERY,
+    SPARSE_LENGTH,
     STRETCH,
     HardConfig,
     along_error,
@@ -104,7 +106,7 @@ def test_the_hard_ring_has_glass_sparse_stretches_and_turns_without_scans():
     glass = np.concatenate([s.hit[r == GLASS] for s, r in zip(scans, hard.sim.reflectance, strict=True)])
     assert 0.02 < glass.mean() < 0.12
     returns = np.array([s.hit.sum() for s in scans])
-    sparse = 0.25 * hard.kept % cfg.sparse_every > cfg.sparse_every - cfg.sparse_length + 0.5
+    sparse = 0.25 * hard.kept % SPARSE_EVERY > SPARSE_EVERY - SPARSE_LENGTH + 0.5
     assert returns[sparse].mean() < 0.3 * returns[~sparse].mean()
     turn = np.abs(np.diff(np.unwrap([s.odometry[2] for s in scans])))
     assert turn.max() > 0.6

@@ -29,7 +29,7 @@ from mapweave.papers.reproduction import CLAIMS_HEAD
 @pytest.fixture(scope="module")
 def merged():
     cfg = KojimaConfig()
-    worlds = draw_worlds(cfg, 40, np.random.default_rng(0))
+    worlds = draw_worlds(40, np.random.default_rng(0))
     runs, _ = merge_online(cfg, worlds, np.random.default_rng(1))
     return {(r.reading, r.weights): r for r in runs}
 
@@ -46,7 +46,7 @@ def test_in_the_papers_set_up_the_proposed_weights_differ_from_plain_rls_by_less
 
 def test_both_weightings_put_every_landmark_within_centimetres_of_the_truth_and_of_each_other(merged):
     plain, proposed = (merged["prior", w].final.x[:, 3:].reshape(-1, 8, 2) for w in ("constant", "paper"))
-    truth = draw_worlds(KojimaConfig(), 40, np.random.default_rng(0)).landmarks
+    truth = draw_worlds(40, np.random.default_rng(0)).landmarks
     error = np.linalg.norm(plain - truth, axis=-1)
     assert error.max() < 0.03
     assert np.linalg.norm(plain - proposed, axis=-1).max() < 0.02 * error.max()
@@ -70,7 +70,7 @@ def test_full_weights_used_once_are_honest_eq_14_is_too_cautious_and_700_uses_ar
     record_property,
 ):
     cfg = KojimaConfig()
-    worlds = draw_worlds(cfg, 200, np.random.default_rng(2))
+    worlds = draw_worlds(200, np.random.default_rng(2))
     first = next(run_filters(cfg, worlds, np.random.default_rng(3)))
     nees = honesty(worlds, first, 10, np.random.default_rng(4))
     said = "NEES per degree of freedom, 2,000 draws:"

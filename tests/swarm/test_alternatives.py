@@ -8,7 +8,7 @@ import pytest
 from mapweave.core.gaussian import chi2_quantile
 from mapweave.swarm.alternatives import _Dense, _outside, doubts, hypotheses_near
 from mapweave.swarm.batch import batch
-from mapweave.swarm.config import AlternativesConfig, SwarmConfig
+from mapweave.swarm.config import ALTERNATIVES_DOUBT, AlternativesConfig, SwarmConfig
 from mapweave.swarm.locate import locate
 
 from .swarms import PAPER, complete, simulated, small
@@ -24,7 +24,7 @@ def none_wrong(net):
 def test_the_first_hypothesis_is_the_answer_itself_with_its_covariance():
     net = complete(PAPER, 1.0, np.random.default_rng(0), anchors=(0, 1))
     found = batch(net, SwarmConfig())
-    hypotheses = hypotheses_near(_Dense.of(net, found, CFG), none_wrong(net), CFG)
+    hypotheses = hypotheses_near(_Dense.of(net, found), none_wrong(net), CFG)
     assert not hypotheses.wrong[0].any()
     np.testing.assert_allclose(hypotheses.x[0].reshape(5, 2), found.position, atol=1e-4)
     cov = hypotheses.cov[0].reshape(5, 2, 5, 2)
@@ -35,7 +35,7 @@ def test_the_first_hypothesis_is_the_answer_itself_with_its_covariance():
 def test_the_evidence_of_leaving_one_out_is_the_density_of_its_direction_given_all_others():
     net = complete(PAPER, 0.2, np.random.default_rng(1), anchors=(0, 1))
     found = batch(net, SwarmConfig())
-    problem = _Dense.of(net, found, CFG)
+    problem = _Dense.of(net, found)
     row, m = 13, len(net.observer)
     without = none_wrong(net)
     without[row] = True
@@ -66,9 +66,9 @@ def test_a_robot_that_two_sightings_place_is_doubted_and_one_that_many_place_is_
     twice = sees & (net.observer == 5) & (net.target < 2)
     lone = net.select(~sees | twice)
     outside = doubts(lone, ~none_wrong(lone), batch(lone, SwarmConfig()), CFG)
-    assert outside[5] > CFG.doubt
-    assert outside[:5].max() < CFG.doubt
-    assert doubts(net, ~none_wrong(net), batch(net, SwarmConfig()), CFG).max() < CFG.doubt
+    assert outside[5] > ALTERNATIVES_DOUBT
+    assert outside[:5].max() < ALTERNATIVES_DOUBT
+    assert doubts(net, ~none_wrong(net), batch(net, SwarmConfig()), CFG).max() < ALTERNATIVES_DOUBT
 
 
 def test_a_wrong_sighting_kept_in_place_of_a_right_one_is_found_by_swapping_them():
@@ -80,7 +80,7 @@ def test_a_wrong_sighting_kept_in_place_of_a_right_one_is_found_by_swapping_them
     called = none_wrong(net)
     called[7] = True  # a right one
     found = batch(net.select(~called), SwarmConfig())
-    hypotheses = hypotheses_near(_Dense.of(net, found, CFG), called, CFG)
+    hypotheses = hypotheses_near(_Dense.of(net, found), called, CFG)
     assert np.flatnonzero(hypotheses.wrong[np.argmax(hypotheses.evidence)]).tolist() == [bad]
     assert doubts(net, ~called, found, CFG).max() > 0.9
 
@@ -99,13 +99,13 @@ def test_the_probability_outside_a_gate_is_that_of_a_normal_variable_along_its_w
 def test_nothing_is_doubted_of_well_seen_robots_in_space_or_without_an_axis(scene):
     net, _ = simulated(0, robots=8, sigma=0.5, **{"visibility": "mutual", **scene})
     found = batch(net, SwarmConfig())
-    assert doubts(net, ~none_wrong(net), found, replace(CFG, rounds=1)).max() < CFG.doubt
+    assert doubts(net, ~none_wrong(net), found, replace(CFG, rounds=1)).max() < ALTERNATIVES_DOUBT
 
 
 def test_without_anchors_the_shape_is_judged():
     net = complete(PAPER, 0.5, np.random.default_rng(5))
     found = batch(net, SwarmConfig())
-    assert doubts(net, ~none_wrong(net), found, CFG).max() < CFG.doubt
+    assert doubts(net, ~none_wrong(net), found, CFG).max() < ALTERNATIVES_DOUBT
     large, _ = simulated(0, robots=64)
     assert not doubts(large, ~none_wrong(large), batch(large, SwarmConfig()), CFG).any()
 

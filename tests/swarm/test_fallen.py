@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from mapweave.swarm.config import FallenConfig, SwarmConfig
+from mapweave.swarm.config import SwarmConfig
 from mapweave.swarm.locate import locate
 from mapweave.swarm.result import JointInformation
 from mapweave.swarm.robust import detection_threshold, fallen_together, unchecked
@@ -58,7 +58,7 @@ def test_where_the_information_is_singular_every_doubtful_sighting_is_one_that_n
     wide = replace(nothing, cov=np.where(found.anchor[:, None, None], 0.0, 1e6 * np.eye(2)))
     everyone = np.ones(len(net.observer), dtype=bool)
     known = net.is_anchor[net.observer] & net.is_anchor[net.target]  # their distance is no question
-    assert unchecked(net, everyone, wide, FallenConfig()).tolist() == (~known).tolist()
+    assert unchecked(net, everyone, wide).tolist() == (~known).tolist()
 
 
 @pytest.mark.parametrize("seed", [3])
@@ -73,4 +73,4 @@ def test_rows_that_leave_a_robot_to_one_sighting_end_in_a_verdict_and_in_no_erro
 def test_a_network_without_noise_has_no_doubtful_sightings():
     net = complete(PAPER, 1.0, np.random.default_rng(0), anchors=(0, 1), exact=True)
     found = locate(net)
-    assert not unchecked(net, np.ones(20, dtype=bool), found, FallenConfig()).any()
+    assert not unchecked(net, np.ones(20, dtype=bool), found).any()

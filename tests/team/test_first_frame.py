@@ -7,7 +7,6 @@ from mapweave.core import se2
 from mapweave.core.records import Track
 from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.team.clocks import RobotClock
-from mapweave.team.config import KnownConfig
 from mapweave.team.known import PlacePriors
 from mapweave.team.mixed import MixedMap
 from mapweave.team.relative_frame import Layout
@@ -49,9 +48,9 @@ def test_a_mixed_team_is_written_so_too_but_where_its_places_are_known():
     smoothed = Smoothed(team(first), {}, {}, {}, 4, 1, "converged", {})
     made = MixedMap((smoothed,), Layout((), (), ()), (), {"robot10": RobotClock(3.0, 0.1)})
     stamps = {"robot10": np.array([3.5])}
-    nowhere = PlacePriors.of({}, {}, {}, (), KnownConfig())
+    nowhere = PlacePriors.of({}, {}, {}, ())
     done = _finished(made, stamps, nowhere).components[0].map
     np.testing.assert_allclose(done.tracks["robot2"].pose[0], 0.0, atol=1e-12)
     np.testing.assert_array_equal(done.tracks["robot10"].t, [0.0, 0.5, 1.0])
-    known = PlacePriors.of({}, {}, {"7": (0.0, 0.0, None)}, (), KnownConfig())
+    known = PlacePriors.of({}, {}, {"7": (0.0, 0.0, None)}, ())
     np.testing.assert_array_equal(_finished(made, stamps, known).components[0].map.tracks["robot2"].pose[0], first)

@@ -8,9 +8,8 @@ import pytest
 from mapweave.core.landmark_log import NOTHING_SEEN, LandmarkLog, SightingTable
 from mapweave.core.records import Track
 from mapweave.landmarks.landmark_map import LandmarkMap
-from mapweave.team.config import MotionNoise
 from mapweave.team.mixed import fixed_stretches
-from mapweave.team.relative_frame import PlacingConfig
+from mapweave.team.relative_frame import FIXED_WINDOW, PlacingConfig
 from mapweave.team.team_map import TeamMap
 
 T = np.arange(0.0, 60.0, 0.5)
@@ -33,7 +32,7 @@ def world(seen_by, off=0.0, ranged=()):
 
 
 def cut(team, logs):
-    return fixed_stretches(team, ["robot3"], logs, {}, PlacingConfig(), MotionNoise())
+    return fixed_stretches(team, ["robot3"], logs, {}, PlacingConfig())
 
 
 def test_where_two_saw_it_its_poses_stay():
@@ -45,7 +44,7 @@ def test_where_two_saw_it_its_poses_stay():
 def test_where_one_saw_it_by_bearing_its_poses_are_left_out_and_said():
     team, told = cut(*world({"robot1": (0, 60), "robot2": (0, 20)}))
     kept = team.tracks["robot3"]
-    window = PlacingConfig().fixed_window
+    window = FIXED_WINDOW
     assert kept.t[-1] == pytest.approx(20.0 + window, abs=0.5)
     assert kept.cov.shape == (len(kept.t), 3, 3)
     assert team.left_out == {"robot3": ()}
@@ -74,7 +73,7 @@ def test_poses_beside_a_leap_that_no_robot_makes_are_left_out(leap):
     track = team.tracks["robot3"]
     pose = track.pose + np.where(np.abs(T - 30.0) < 0.3, 1.0, 0.0)[:, None] * np.array(leap)
     made, told = cut(replace(team, tracks={**team.tracks, "robot3": Track(T, pose, track.cov)}), logs)
-    kept, window = made.tracks["robot3"].t, PlacingConfig().fixed_window
+    kept, window = made.tracks["robot3"].t, FIXED_WINDOW
     assert set(kept) == set(T[np.abs(T - 30.0) > window + 0.5 + 1e-9])
     assert len(told) == 1
     slow = track.pose + np.where(np.abs(T - 30.0) < 0.3, 0.3, 0.0)[:, None] * np.array(leap)

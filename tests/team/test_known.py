@@ -7,7 +7,6 @@ import mapweave
 from mapweave.core import se2
 from mapweave.core.errors import ReaderError, UsageError
 from mapweave.io.points import read_points
-from mapweave.team.config import KnownConfig
 from mapweave.team.known import PlacePriors
 
 from .mixed_teams import mixed
@@ -44,7 +43,7 @@ def test_robots_that_have_nothing_in_common_are_tied_by_their_starts():
 def test_starts_told_from_the_first_robot_leave_the_frame_its_first_pose():
     w = team()
     T = se2.between(start_of(w, "robot1"), start_of(w, "robot2"))
-    known = PlacePriors.of({"robot2": tuple(T)}, {}, {}, ["robot1", "robot2"], KnownConfig())
+    known = PlacePriors.of({"robot2": tuple(T)}, {}, {}, ["robot1", "robot2"])
     assert known.own_frame
     (whole,) = w.map(known=known).components
     np.testing.assert_allclose(whole.map.tracks["robot1"].pose[0], 0.0, atol=0.05)

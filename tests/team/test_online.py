@@ -15,7 +15,7 @@ from mapweave.fusion.config import FuseConfig
 from mapweave.landmarks.config import EkfSlamConfig
 from mapweave.landmarks.mapping import grow
 from mapweave.sim import landmarks as simulator
-from mapweave.team.config import OnlineConfig, SmoothingConfig
+from mapweave.team.config import ONLINE_FAR, OnlineConfig, SmoothingConfig
 from mapweave.team.smooth import smooth
 
 from .teams import world
@@ -52,7 +52,7 @@ def test_what_stands_when_the_logs_end_is_what_smoothing_at_the_end_gives(run):
     """Within 15 mm of landmarks and ways on a log of two minutes; the filters' map that both begin from is far off."""
     w = world(31, robots=3, minutes=2.0)
     batch = smooth(w.map, w.logs, w.fusion.labels, CFG).map
-    online = closing_start(run, w.map, ONLINE.far)
+    online = closing_start(run, w.map, ONLINE_FAR)
     landmarks, ways = apart(online, batch)
     assert landmarks < 0.015
     assert ways < 0.015
@@ -89,7 +89,7 @@ def test_a_team_smoothed_online_is_as_sure_as_it_may_be(run):
     """The covariances are those of smoothing at the end (which other tests judge over many runs), to a quarter."""
     w = world(31, robots=3, minutes=2.0)
     batch = smooth(w.map, w.logs, w.fusion.labels, CFG).map
-    done = smooth(closing_start(run, w.map, ONLINE.far), w.logs, w.fusion.labels, CFG).map
+    done = smooth(closing_start(run, w.map, ONLINE_FAR), w.logs, w.fusion.labels, CFG).map
     np.testing.assert_allclose(np.diag(done.landmarks.cov), np.diag(batch.landmarks.cov), rtol=0.25)
     nees = score_team([done], {}, w.truth.survey, w.truth.robots).landmarks.nees_per_dof
     assert 0.3 < nees < 2.0
@@ -101,7 +101,7 @@ def test_robots_without_wheels_wait_for_the_end_and_it_is_told():
     logs = [replace(log, odometry=None) for log in short]
     run = played(logs)
     assert "no robot with wheels" in run.findings[0].text
-    assert closing_start(run, w.map, ONLINE.far) is w.map
+    assert closing_start(run, w.map, ONLINE_FAR) is w.map
     mixed = played([short[0], short[1], logs[2]])
     assert tuple(f.text for f in mixed.findings) == ("--online: no wheels: smoothed when the logs ended: robot 3",)
     assert mixed.team.members

@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.team.relative_frame import MutualSightings, PlacingConfig, is_sure, point_seen, relate, residuals
+from mapweave.team.relative_frame import (
+    PLACING_LEAST,
+    MutualSightings,
+    PlacingConfig,
+    is_sure,
+    point_seen,
+    relate,
+    residuals,
+)
 
 CFG = PlacingConfig()
 
@@ -64,7 +72,7 @@ def test_seen_the_other_way_round_is_the_inverse():
 
 def test_too_little_or_contradicting_sightings_tell_nothing():
     z, _ = made(7)
-    assert relate(z.select(np.arange(CFG.least - 1)), CFG) is None
+    assert relate(z.select(np.arange(PLACING_LEAST - 1)), CFG) is None
     rng = np.random.default_rng(1)
     noise = MutualSightings(z.forward, z.pose, z.point, z.range, rng.uniform(-np.pi, np.pi, len(z)), z.t)
     assert relate(noise, CFG) is None

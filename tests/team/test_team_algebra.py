@@ -11,7 +11,19 @@ from mapweave.core.records import Odometry, Track
 from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.solve import SolveStatus
 from mapweave.team.commanded_motion import CommandedMotion, random_walk
-from mapweave.team.config import CalibrationPrior, MotionNoise, SmoothingConfig
+from mapweave.team.config import (
+    FEW_RAISED,
+    HEADING_FLOOR,
+    MOST_CORRECTED,
+    POSITION_FLOOR,
+    SMOOTHING_MEMORY,
+    UNKNOWN_SLIP,
+    UNKNOWN_SPEED,
+    UNKNOWN_SPIN,
+    CalibrationPrior,
+    MotionNoise,
+    SmoothingConfig,
+)
 from mapweave.team.covariance import (
     MOST_TAKEN,
     Groups,
@@ -157,13 +169,13 @@ def test_landmarks_have_the_sandwich_of_the_dense_inverse(solved):
     inverse[np.ix_(free, free)] = np.linalg.inv(dense_information(team, x, free))
     scores, known = pulls(team, x, 0.8), _priors(team, x).toarray()
     shared = (free >= team.landmark_start).sum()
-    taken_out = len(scores) / max(len(scores) - shared, len(scores) / cfg.most_corrected)
+    taken_out = len(scores) / max(len(scores) - shared, len(scores) / MOST_CORRECTED)
     middle = taken_out * scores.T @ scores + known.T @ known
     T = frame_of_the_body(team, x)
     wanted = T @ inverse @ middle @ inverse @ T.T
     known = _Known.of(team, solution, Groups.of(team, cfg.cluster))
     hubs = np.arange(team.landmark_start, len(x))
-    moved = known.influence(hubs, cfg.most_corrected)
+    moved = known.influence(hubs, MOST_CORRECTED)
     np.testing.assert_allclose(moved.T @ moved, wanted[np.ix_(hubs, hubs)], rtol=1e-3, atol=1e-9)
 
 
@@ -206,9 +218,9 @@ def test_with_few_groups_landmarks_have_the_models_covariance_times_how_much_the
     team = team_problem(logs, landmarks, tracks, {}, {}, CFG)
     solution = team.solve(CFG)
     shown, taken, model, known = scattered_by(team, solution.x, solution.free)
-    by = (1.0 + CFG.few_raised) * (shown + taken * max(1.0, shown / (1.0 - taken)))
+    by = (1.0 + FEW_RAISED) * (shown + taken * max(1.0, shown / (1.0 - taken)))
     priors = known.T @ known
-    few = team_covariance(team, solution, CFG, np.eye(10)).landmarks - CFG.position_floor**2 * np.eye(10)
+    few = team_covariance(team, solution, CFG, np.eye(10)).landmarks - POSITION_FLOOR**2 * np.eye(10)
     np.testing.assert_allclose(few, by * (model - priors) + priors, rtol=2e-3, atol=1e-8)
     assert noise > 1.0 or 0.0 < shown < 1.0  # the noise that is assumed is twice the usual scatter
 
@@ -217,11 +229,11 @@ def test_a_robots_covariances_have_their_floor_and_the_larger_of_both_factors(so
     team, solution = solved
     cov = team_covariance(team, solution, CFG, 0.01 * np.eye(10))
     blocks = _Known.of(team, solution, Groups.of(team, CFG.cluster)).pose_blocks()
-    floor = np.diag([CFG.position_floor**2, CFG.position_floor**2, CFG.heading_floor**2])
+    floor = np.diag([POSITION_FLOOR**2, POSITION_FLOOR**2, HEADING_FLOOR**2])
     shown, taken, *_ = scattered_by(team, solution.x, solution.free)
-    by = (1.0 + CFG.few_raised) * (shown + taken * max(1.0, shown / (1.0 - taken)))
+    by = (1.0 + FEW_RAISED) * (shown + taken * max(1.0, shown / (1.0 - taken)))
     for k, (P, model) in enumerate(zip(cov.poses, blocks, strict=True)):
-        assert cov.inflation[k] == pytest.approx(max(by, _correlation(team, k, solution.x, CFG.memory)), rel=1e-4)
+        assert cov.inflation[k] == pytest.approx(max(by, _correlation(team, k, solution.x, SMOOTHING_MEMORY)), rel=1e-4)
         np.testing.assert_allclose(P, cov.inflation[k] * model + floor, atol=1e-12)
     assert all((sd > 0).all() for sd in cov.calibration)
 
@@ -240,7 +252,7 @@ def test_sightings_that_err_together_are_told_from_those_that_do_not():
         [replace(logs[0], sightings=replace(table, range=slow)), logs[1]], landmarks, tracks, {}, {}, CFG
     )
     x = team.problem.x0
-    factors = [_correlation(team, k, x, CFG.memory) for k in (0, 1)]
+    factors = [_correlation(team, k, x, SMOOTHING_MEMORY) for k in (0, 1)]
     for robot, factor in enumerate(factors):
         part, together, alone = team.parts[robot], 0.0, 0.0
         (term,) = (
@@ -252,7 +264,7 @@ def test_sightings_that_err_together_are_told_from_those_that_do_not():
         t, what = part.log.sightings.t, part.log.sightings.what
         for landmark in range(5):
             for slot in range(5):
-                rows = (what == landmark) & (t // CFG.memory == slot)
+                rows = (what == landmark) & (t // SMOOTHING_MEMORY == slot)
                 together += np.square(g[rows].sum(axis=0)).sum()
                 alone += np.square(g[rows]).sum()
         assert factor == pytest.approx(max(1.0, together / alone))
@@ -283,13 +295,13 @@ def test_of_a_robot_that_saw_no_landmark_the_others_sightings_of_it_are_asked():
     assert origin.robot == 0
     np.testing.assert_array_equal(origin.t, stamps)
     g = term.normal(x)[1][:, 3:5]
-    slots = [stamps // CFG.memory == slot for slot in range(5)]
+    slots = [stamps // SMOOTHING_MEMORY == slot for slot in range(5)]
     together = sum(np.square(g[rows].sum(axis=0)).sum() for rows in slots)
-    factor = _correlation(team, 1, x, CFG.memory)
+    factor = _correlation(team, 1, x, SMOOTHING_MEMORY)
     assert factor == pytest.approx(together / np.square(g).sum())
     assert factor > 1.5
     alone = team_problem([one, blind], landmarks, tracks, {}, {}, CFG)
-    assert _correlation(alone, 1, alone.problem.x0, CFG.memory) == 1.0
+    assert _correlation(alone, 1, alone.problem.x0, SMOOTHING_MEMORY) == 1.0
 
 
 def test_heading_that_wanders_moves_a_robot_aside_as_its_integral_does():
@@ -329,7 +341,7 @@ def test_a_robot_whose_commands_nobody_knows_wanders_with_the_time():
     cfg = MotionNoise()
     Q = random_walk(np.array([0.0, 1.0, 4.0]), cfg)
     for k, dt in enumerate((1.0, 3.0)):
-        speeds = np.array([cfg.unknown_speed, cfg.unknown_slip, cfg.unknown_spin])
+        speeds = np.array([UNKNOWN_SPEED, UNKNOWN_SLIP, UNKNOWN_SPIN])
         rest = np.array([cfg.rest_xy, cfg.rest_xy, cfg.rest_theta])
         np.testing.assert_allclose(Q[k], np.diag((speeds * dt) ** 2 + rest**2 * dt))
 

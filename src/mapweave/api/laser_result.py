@@ -301,7 +301,7 @@ def woven_result(
         *overruled,
         *placed.findings,
         *(found for m in merges for found in _told_of(m, cfg.merge)),
-        *copies_found([m.graph for m in stored if m.graph is not None], cfg.copies),
+        *copies_found([m.graph for m in stored if m.graph is not None]),
         *(_apart(components) if merge else ()),
     ]
     metrics = laser_metrics(stored, seed, components, merges, timing, whole)

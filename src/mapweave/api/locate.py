@@ -168,7 +168,6 @@ def locate(
         distances=distances,
         axis=axis,
         until=until,
-        cfg=cfg.swarm.consistency,
     )
     read = perf_counter()
     on_progress("reading", 1, 1)
@@ -250,7 +249,7 @@ def _stood_still(given: SwarmInput, settings: Settings, *, covariance: bool | No
     """The answer for robots that stand still, when the stamped sightings agree that they do."""
     located = _stand(given, settings, None, covariance=covariance)
     e = located.estimate
-    return None if chi2_warnings(e.chi2, e.dof, settings.swarm.verdict) else located
+    return None if chi2_warnings(e.chi2, e.dof) else located
 
 
 def _move(given: SwarmInput, settings: Settings, motion: TrackConfig | None, *, filtered: bool) -> Moved:

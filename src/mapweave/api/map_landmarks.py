@@ -11,8 +11,8 @@ from ..core.findings import Finding, unused_by_all
 from ..core.landmark_log import LandmarkLog
 from ..core.names import in_order, robot_key, robot_name
 from ..core.workers import worker_pool
-from ..fusion.compared_logs import CopiesConfig, MirrorConfig, mirror_images, unmirrored, with_copies_marked
-from ..fusion.config import FuseConfig
+from ..fusion.compared_logs import MirrorConfig, mirror_images, unmirrored, with_copies_marked
+from ..fusion.config import START_TOLERANCE, FuseConfig
 from ..fusion.join import fuse
 from ..fusion.result import Fusion, placed_by_sightings, tie_by_starts
 from ..io.kept import parts
@@ -20,12 +20,12 @@ from ..io.landmark_logs import is_landmark_log, landmark_logs_of, read_landmark_
 from ..io.points import read_points
 from ..io.table import Columns
 from ..io.team_map import read_calibration
-from ..landmarks.agreement import AgreementConfig, SiftConfig, sifted, with_wheels_checked
+from ..landmarks.agreement import AgreementConfig, sifted, with_wheels_checked
 from ..landmarks.config import EkfSlamConfig
 from ..landmarks.landmark_map import LocalMap
 from ..landmarks.mapping import Growth, grow, without_impossible
-from ..team.clocks import CameraClockConfig, of_another_time, on_camera_clock
-from ..team.config import OnlineConfig, SmoothingConfig
+from ..team.clocks import of_another_time, on_camera_clock
+from ..team.config import ONLINE_FAR, SMOOTHING_SOFTEN, OnlineConfig, SmoothingConfig
 from ..team.kidnapped import KidnapConfig, cut_kidnapped, with_stretches
 from ..team.known import PlacePriors, framed
 from ..team.mixed import regained
@@ -43,10 +43,7 @@ from .team import TeamResult, Watch, team_maps, team_result
 class LandmarkMapConfig:
     """Settings of `map` for landmark logs: each field is the table of that name in the configuration file."""
 
-    copies: CopiesConfig = field(default_factory=CopiesConfig)
-    camera_clock: CameraClockConfig = field(default_factory=CameraClockConfig)
     agreement: AgreementConfig = field(default_factory=AgreementConfig)
-    sift: SiftConfig = field(default_factory=SiftConfig)
     ekf: EkfSlamConfig = field(default_factory=EkfSlamConfig)
     mirrored: MirrorConfig = field(default_factory=MirrorConfig)
     fuse: FuseConfig = field(default_factory=FuseConfig)
@@ -96,10 +93,10 @@ def _configured(options: MapOptions) -> LandmarkMapConfig:
 def _map_read(
     logs: Sequence[LandmarkLog], cfg: LandmarkMapConfig, options: MapOptions, title: str, watch: Watch
 ) -> TeamResult:
-    once = with_copies_marked(_shared(list(logs), options), cfg.copies)
-    on_time = [on_camera_clock(log, cfg.camera_clock) for log in once]
+    once = with_copies_marked(_shared(list(logs), options))
+    on_time = [on_camera_clock(log) for log in once]
     read = [
-        sifted(without_impossible(with_wheels_checked(log, cfg.ekf, cfg.agreement), cfg.ekf), cfg.ekf, cfg.sift)
+        sifted(without_impossible(with_wheels_checked(log, cfg.ekf, cfg.agreement), cfg.ekf), cfg.ekf)
         for log in on_time
     ]
     watch.lap("read")
@@ -127,7 +124,7 @@ def _map_read(
     if fused is not None:
         fusion, online = fuse_online(cut.main, [g.at(fused) for g in grown], cfg.fuse, fused, options.on_progress)
     starts = {robot_name(key): pose for key, pose in options.start.items()}
-    fusion = tie_by_starts(fusion, starts, cfg.fuse.start_tolerance)
+    fusion = tie_by_starts(fusion, starts, START_TOLERANCE)
     maps, stretches, stretch_findings = with_stretches(team_maps(local, fusion), cut, cfg.smoothing, placing)
     rooms: tuple[Finding, ...] = ()
     if any(log.odometry is None for log in cut.main):
@@ -212,14 +209,14 @@ def _smoothed(
     """Every component, smoothed as a whole; the largest from where `run`, if there was one, had it."""
     out, cfg = [], settings.smoothing
     maps, back = regained(maps, logs, fusion.labels, cfg, placing)
-    places = None if options.survey is None else PlacePriors.of({}, {}, read_points(options.survey), (), cfg.known)
+    places = None if options.survey is None else PlacePriors.of({}, {}, read_points(options.survey), ())
     if places is not None:
         maps = tuple(framed(team, places) for team in maps)
     for k, team in enumerate(maps):
         options.on_progress("smoothing", k, len(maps))
         carried = any(log.cuts for log in logs if log.robot in team.robots)
-        far = cfg.soften if carried or (back and k == 0) else ()
-        start = team if run is None or k else closing_start(run, team, settings.online.far)
+        far = SMOOTHING_SOFTEN if carried or (back and k == 0) else ()
+        start = team if run is None or k else closing_start(run, team, ONLINE_FAR)
         began = perf_counter()
         start = start if places is None else framed(start, places)
         done = smooth_on_one_clock(start, logs, fusion.labels, cfg, known, far, places)

@@ -16,7 +16,7 @@ from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.laser_log import LaserLog
 from ..core.names import in_order, robot_key, robot_name
 from ..core.workers import worker_pool
-from ..fusion.compared_logs import CopiesConfig, with_copies_marked
+from ..fusion.compared_logs import with_copies_marked
 from ..fusion.config import FuseConfig
 from ..fusion.join import fuse
 from ..fusion.result import Fusion
@@ -34,7 +34,7 @@ from ..io.team_map import (
     write_landmarks,
     write_tracks,
 )
-from ..landmarks.agreement import AgreementConfig, SiftConfig, sifted, with_wheels_checked
+from ..landmarks.agreement import AgreementConfig, sifted, with_wheels_checked
 from ..landmarks.config import EkfSlamConfig
 from ..landmarks.landmark_map import LocalMap
 from ..landmarks.mapping import local_map, without_impossible
@@ -47,8 +47,8 @@ from ..report.mixed import MixedStory, draw_mixed, words, write_mixed_report
 from ..report.result import ResultBase, Rows
 from ..report.score import headline_scores
 from ..report.style import Target
-from ..team.clocks import CameraClockConfig, on_camera_clock
-from ..team.config import SmoothingConfig
+from ..team.clocks import on_camera_clock
+from ..team.config import ANOTHER_TIME, SmoothingConfig
 from ..team.kidnapped import Cut, KidnapConfig, cut_kidnapped, with_stretches
 from ..team.known import PlacePriors
 from ..team.mixed import MixedMap, map_mixed, regained
@@ -70,10 +70,7 @@ PLAIN = LaserConfig(feature="none")
 class MixedMapConfig:
     """Settings of `map` for mixed teams: each field is the table of that name in the configuration file."""
 
-    copies: CopiesConfig = field(default_factory=CopiesConfig)
-    camera_clock: CameraClockConfig = field(default_factory=CameraClockConfig)
     agreement: AgreementConfig = field(default_factory=AgreementConfig)
-    sift: SiftConfig = field(default_factory=SiftConfig)
     ekf: EkfSlamConfig = field(default_factory=EkfSlamConfig)
     fuse: FuseConfig = field(default_factory=FuseConfig)
     kidnap: KidnapConfig = field(default_factory=KidnapConfig)
@@ -144,15 +141,15 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
     by_kind = sorted_logs(logs, source_of(options.laser))
     read = read_mixed_landmarks(by_kind)
     read, by_kind = _wanted(read, by_kind, options)
-    known, places = known_calibration(read, options), _places(read, cfg, options)
+    known, places = known_calibration(read, options), _places(read, options)
     watch.lap("read")
     scans, lasers = _lasers(by_kind.lasers, cfg.laser, options)
-    apart = _apart(read, scans, cfg.smoothing.clocks.another_time)
+    apart = _apart(read, scans, ANOTHER_TIME)
     read = [log.share(options.share.get(robot_key(log.robot), 1.0)) for log in read]
-    read = [on_camera_clock(log, cfg.camera_clock) for log in with_copies_marked(read, cfg.copies)]
+    read = [on_camera_clock(log) for log in with_copies_marked(read)]
     stamps = {log.robot: log.stamps for log in read}
     read = [without_impossible(with_wheels_checked(log, cfg.ekf), cfg.ekf) for log in read]
-    read = [sifted(log, cfg.ekf, cfg.sift) for log in read]
+    read = [sifted(log, cfg.ekf) for log in read]
     seeing = [x for x in read if x.robot not in apart and any(not n.startswith("robot") for n in x.sightings.counts())]
     cut = _cut(seeing, *_filtered(seeing, cfg, options), cfg, options.seed)
     local, fusion = cut.local, cut.fusion
@@ -208,7 +205,7 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
     return replace(result, metrics={**result.metrics, "timing": {k: round(v, 4) for k, v in watch.seconds.items()}})
 
 
-def _places(read: Sequence[LandmarkLog], cfg: MixedMapConfig, options: MapOptions) -> PlacePriors:
+def _places(read: Sequence[LandmarkLog], options: MapOptions) -> PlacePriors:
     """What `--start` and `--survey` say of places; raises UsageError for a robot that is not there."""
     names = [log.robot for log in read]
     for key in options.start:
@@ -217,7 +214,7 @@ def _places(read: Sequence[LandmarkLog], cfg: MixedMapConfig, options: MapOption
     starts = {robot_name(key): pose for key, pose in options.start.items()}
     sd = {robot_name(key): value for key, value in options.start_sd.items()}
     points = {} if options.survey is None else read_points(options.survey)
-    return PlacePriors.of(starts, sd, points, names, cfg.smoothing.known)
+    return PlacePriors.of(starts, sd, points, names)
 
 
 def _finished(mixed: MixedMap, stamps: Mapping[str, np.ndarray], places: PlacePriors) -> MixedMap:

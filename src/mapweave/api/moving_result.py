@@ -40,9 +40,9 @@ class Moved(ResultBase):
         return self.track.converged and not self._doubts()
 
     def _doubts(self) -> list[str]:
-        t, verdict = self.track, self.settings.swarm.verdict
-        doubts = share_warnings(t.outlier, verdict)
-        misfit = chi2_warnings(t.chi2, t.dof, verdict)
+        t = self.track
+        doubts = share_warnings(t.outlier)
+        misfit = chi2_warnings(t.chi2, t.dof)
         if misfit and t.dof > 0:
             ratio = t.chi2 / t.dof
             misfit = [f"residuals are {ratio:.3g} times what sigma and the motion model say: covariances are too small"]

@@ -12,7 +12,6 @@ from ..core.errors import DataError, UsageError
 from ..io.sightings import Dropped, SwarmTruth, read_sightings, read_swarm_truth
 from ..io.table import Table
 from ..io.team_bearings import read_team_truth
-from ..swarm.config import CONSISTENCY, ConsistencyConfig
 from ..swarm.network import DEFAULT_SIGMA, BearingNetwork, Distance, contradictions, copies, shares_an_axis
 
 Place = Sequence[float] | Float[np.ndarray, " d"]
@@ -61,7 +60,6 @@ def prepare(
     distances: Sequence[tuple[str, str, float]],
     axis: bool | None,
     until: float | None = None,
-    cfg: ConsistencyConfig = CONSISTENCY,
 ) -> SwarmInput:
     """The sightings of `source` with the noise, axes and known places filled in.
 
@@ -87,7 +85,7 @@ def prepare(
         table = table.rows(early)
     filled, sigma_source = _filled(table, sigma)
     table = BearingTable(table.ids, table.observer, table.target, table.direction, filled, table.t, axis is not False)
-    if axis is None and not warnings and not shares_an_axis(table, filled, cfg):
+    if axis is None and not warnings and not shares_an_axis(table, filled):
         if table.dim == 3:
             raise DataError(f"{name}: mutual sightings do not point at each other; in space robots need common axes")
         table = BearingTable(table.ids, table.observer, table.target, table.direction, filled, table.t, axis=False)
@@ -95,12 +93,12 @@ def prepare(
             "mutual sightings do not point at each other: no common axis, so every robot's heading is estimated"
         )
     at = np.arange(1, len(table.observer) + 1) if lines is None else np.asarray(lines)
-    again = copies(table, table.sigma, cfg)
+    again = copies(table, table.sigma)
     if again.any():
         dropped += _left_out(table, at, again, "copy of another row")
         warnings.append(f"{int(again.sum())} rows are copies of other rows, to the last digit: each counts once")
         table, at = table.rows(~again), at[~again]
-    bad = contradictions(table, table.sigma, cfg)
+    bad = contradictions(table, table.sigma)
     if bad.any():
         dropped += _left_out(table, at, bad, "contradicts another row")
         warnings.append(f"{int(bad.sum())} rows contradict another row of the same robots and were left out")

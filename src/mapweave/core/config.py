@@ -2,6 +2,7 @@
 
 A config stands beside the code that reads it: ``@config class IcpConfig: max_correspondence: float = 0.5  # [m]``. A
 key that has moved is named in the `MOVED` of the outermost class (old: new, dotted); a file with the old is told so.
+One that became a constant is named in `fixed_keys.toml`, and a file that has it is told to leave it out.
 """
 
 import tomllib
@@ -16,8 +17,9 @@ from .paths import kind_of
 
 T = TypeVar("T")
 
+UNKNOWN = "unexpected_keyword_argument"
 _WORDS = {
-    "unexpected_keyword_argument": "unknown key",
+    UNKNOWN: "unknown key",
     "missing": "missing",
     "tuple_type": "expected a list",
     "string_type": "expected text",
@@ -46,8 +48,12 @@ def build(cls: type[T], values: dict[str, Any], where: str = "configuration") ->
     try:
         return TypeAdapter(cls).validate_python(values)
     except ValidationError as error:
-        problems = [_problem(cls, _place(e["loc"]), e["type"], e["msg"]) for e in error.errors()]
-        raise ConfigError(f"{where}: {'; '.join(dict.fromkeys(problems))}") from None
+        told = [(_place(e["loc"]), e["type"], e["msg"]) for e in error.errors()]
+    fixed = [place for place, kind, _ in told if kind == UNKNOWN and _is_fixed(cls, place)]
+    problems = [_problem(cls, *one) for one in told if one[0] not in fixed]
+    if fixed:
+        problems.append(f"constants since 0.2, to be left out: {', '.join(dict.fromkeys(fixed))}")
+    raise ConfigError(f"{where}: {'; '.join(dict.fromkeys(problems))}")
 
 
 def load(cls: type[T], settings: object, overrides: dict[str, Any] | None = None) -> T:
@@ -118,8 +124,18 @@ def expect_positive(cfg: object, where: str, *names: str) -> None:
 
 
 def _problem(cls: type, place: str, kind: str, message: str) -> str:
-    new = getattr(cls, "MOVED", {}).get(place) if kind == "unexpected_keyword_argument" else None
+    new = getattr(cls, "MOVED", {}).get(place) if kind == UNKNOWN else None
     return f"{place}: is now {new}" if new else f"{place}: {_WORDS.get(kind, message)}"
+
+
+def _is_fixed(cls: type, place: str) -> bool:
+    """Whether the key at `place` of a configuration is one of `fixed_keys.toml`: once a setting, now a constant."""
+    *tables, key = place.split(".")
+    inner: Any = cls()
+    for name in tables:
+        inner = getattr(inner, name, None)
+    fixed = tomllib.loads(Path(__file__).with_name("fixed_keys.toml").read_text(encoding="utf-8"))
+    return any(key in fixed.get(c.__name__, ()) for c in type(inner).__mro__)
 
 
 def _place(loc: tuple[int | str, ...]) -> str:

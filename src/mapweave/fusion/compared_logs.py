@@ -23,15 +23,20 @@ from ..core.records import Odometry
 from ..landmarks.landmark_map import LandmarkMap, LocalMap
 from .alignment import align_robust
 
+MIRROR_AGREE = 0.7  # share of them that must agree mirrored,
+MIRROR_FEWER = 0.6  # and of those how many at most may as they are
+MIRROR_GATE = 0.5  # [m] within which a landmark agrees
+
+COPIES_PAIRS = 20  # successive pairs of sightings of the shorter log, from which logs are compared
+COPIES_SHARE = 0.5  # of them that the other must hold too
+COPIES_VARIED = 0.5  # share of a log's pairs that must differ from each other: constant numbers prove nothing
+
 
 @config
 class MirrorConfig:
     """When one of two maps is the mirror image of the other."""
 
     landmarks: int = 6  # in common, from which two maps are compared
-    agree: float = 0.7  # share of them that must agree mirrored,
-    fewer: float = 0.6  # and of those how many at most may as they are
-    gate: float = 0.5  # [m] within which a landmark agrees
 
 
 MIRROR = MirrorConfig()
@@ -80,31 +85,19 @@ def _side(a: LandmarkMap, b: LandmarkMap, cfg: MirrorConfig) -> int:
     shared = [name for name in a.ids if name in there]
     if len(shared) < cfg.landmarks:
         return 0
-    p, q, gate = a.select(shared).mean, b.select(shared).mean, np.full(len(shared), cfg.gate)
+    p, q, gate = a.select(shared).mean, b.select(shared).mean, np.full(len(shared), MIRROR_GATE)
     fits = [int(align_robust(x, q, gate).inliers.sum()) for x in (p, p * np.array([1.0, -1.0]))]
-    if max(fits) < cfg.agree * len(shared) or min(fits) > cfg.fewer * max(fits):
+    if max(fits) < MIRROR_AGREE * len(shared) or min(fits) > MIRROR_FEWER * max(fits):
         return 0
     return 1 if fits[0] > fits[1] else -1
 
 
-@config
-class CopiesConfig:
-    """When two logs are one log under two names."""
-
-    pairs: int = 20  # successive pairs of sightings of the shorter log, from which logs are compared
-    share: float = 0.5  # of them that the other must hold too
-    varied: float = 0.5  # share of a log's pairs that must differ from each other: constant numbers prove nothing
-
-
-COPIES = CopiesConfig()
-
-
-def with_copies_marked(logs: Sequence[LandmarkLog], cfg: CopiesConfig = COPIES) -> list[LandmarkLog]:
+def with_copies_marked(logs: Sequence[LandmarkLog]) -> list[LandmarkLog]:
     """The logs in their order; one that repeats an earlier one carries its hash and a finding."""
-    seen = [_successive(log, cfg) for log in logs]
+    seen = [_successive(log) for log in logs]
     known: list[LandmarkLog] = []
     for k, log in enumerate(logs):
-        first = next((i for i in range(k) if _same(seen[i], seen[k], cfg)), None)
+        first = next((i for i in range(k) if _same(seen[i], seen[k])), None)
         if first is None or known[first].log_hash == log.log_hash:
             known.append(log)
             continue
@@ -113,17 +106,17 @@ def with_copies_marked(logs: Sequence[LandmarkLog], cfg: CopiesConfig = COPIES) 
     return known
 
 
-def _successive(log: LandmarkLog, cfg: CopiesConfig) -> Float[np.ndarray, "n 4"]:
+def _successive(log: LandmarkLog) -> Float[np.ndarray, "n 4"]:
     """Range and bearing of every sighting and of the next, each such pair once; none where most repeat others."""
     tables = [s for s in (log.sightings, log.bearings) if len(s)]
     rows = [np.column_stack([np.nan_to_num(s.range), s.bearing]) for s in tables]
     pairs = np.concatenate([np.zeros((0, 4)), *(np.hstack([r[:-1], r[1:]]) for r in rows)])
     once = np.unique(pairs, axis=0)
-    return once if len(once) >= cfg.varied * len(pairs) else np.zeros((0, 4))
+    return once if len(once) >= COPIES_VARIED * len(pairs) else np.zeros((0, 4))
 
 
-def _same(a: Float[np.ndarray, "n 4"], b: Float[np.ndarray, "m 4"], cfg: CopiesConfig) -> bool:
+def _same(a: Float[np.ndarray, "n 4"], b: Float[np.ndarray, "m 4"]) -> bool:
     least = min(len(a), len(b))
-    if least < cfg.pairs:
+    if least < COPIES_PAIRS:
         return False
-    return len(a) + len(b) - len(np.unique(np.concatenate([a, b]), axis=0)) >= cfg.share * least
+    return len(a) + len(b) - len(np.unique(np.concatenate([a, b]), axis=0)) >= COPIES_SHARE * least

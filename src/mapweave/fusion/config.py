@@ -4,8 +4,20 @@ from typing import Literal
 
 from ..core.config import config
 from ..core.errors import ConfigError
-from .full_covariance import VarianceConfig
 from .identities import IdentityConfig
+
+VARIANCE_PRIOR = 4.0  # degrees of freedom with which a map's variance factor is held at 1
+FUSE_GATE = 0.35  # [m] from where the others put a landmark, below which it is never doubted
+GATE_SIGMAS = 5.0  # standard deviations, likewise
+FUSE_REFUSE = 0.5  # [m] median distance of shared landmarks below which a map is not grossly wrong
+FUSE_ODDS = 1000.0  # how much likelier than chance the same place must be for maps of two recordings
+MISLABELLED_CHI2 = 18.0  # chi-square (two degrees) from which a shared name counts as wrong
+FUSE_WEIGHED = 40  # landmarks in common that are weighed for it at most; more than enough
+START_TOLERANCE = 0.5  # [m] between a start given and the one found from landmarks, above which it is told
+FUSE_DELTA = 1.0  # the paper's factor on the noise
+CONSTANT_VARIANCE = 1e-3  # of every relative measurement with weights="constant" [m^2], [rad^2]
+SIGHTING_EVERY = 5.0  # [s] from one sighting of a robot by another to the next that counts
+JUDGE_AGAIN = 1.25  # times the sightings of the last judgement, from which online fusing judges all anew
 
 Weights = Literal["constant", "paper", "diagonal", "full", "full-scaled", "naive"]
 Identities = Literal["known", "unknown"]
@@ -26,30 +38,17 @@ class FuseConfig:
     identities: Identities = "known"  # whether equal names mean one landmark, or places alone tell
     scale_sigma: float = 0.02  # standard deviation of a map's scale about 1, a priori
     floor: float = 0.01  # [m] independent error of every landmark of every map that no covariance knows of
-    variance_prior: float = 4.0  # degrees of freedom with which a map's variance factor is held at 1
-    gate: float = 0.35  # [m] from where the others put a landmark, below which it is never doubted
-    gate_sigmas: float = 5.0  # standard deviations, likewise
-    refuse: float = 0.5  # [m] median distance of shared landmarks below which a map is not grossly wrong
-    odds: float = 1000.0  # how much likelier than chance the same place must be for maps of two recordings
     odds_within: float = 0.1  # the same for maps of one recording, whose names have one meaning
     distrust: float = 4.0  # factor on covariances while this is judged
     mislabelled: float = 0.05  # probability that one robot gives a landmark a wrong name
-    mislabelled_chi2: float = 18.0  # chi-square (two degrees) from which a shared name counts as wrong
-    weighed: int = 40  # landmarks in common that are weighed for it at most; more than enough
-    start_tolerance: float = 0.5  # [m] between a start given and the one found from landmarks, above which it is told
     repeats: int = 1  # times each relative measurement is fed (the paper's habit); more than 1 is overconfident
-    delta: float = 1.0  # the paper's factor on the noise
-    constant_variance: float = 1e-3  # of every relative measurement with weights="constant" [m^2], [rad^2]
     robot_sightings: bool = False  # sightings of robots tie the frames too; worse where tracks err, as on real logs
     sighting_range: float = 0.3  # [m] standard deviation of a range to a robot there,
     sighting_bearing: float = 0.1  # [rad] and of a bearing; tracks err more than cameras
-    sighting_every: float = 5.0  # [s] from one sighting of a robot by another to the next that counts
-    judge_again: float = 1.25  # times the sightings of the last judgement, from which online fusing judges all anew
-    variance: VarianceConfig = VarianceConfig()
     matching: IdentityConfig = IdentityConfig()
 
     def __post_init__(self) -> None:
-        for name in ("scale_sigma", "gate", "refuse", "odds", "odds_within", "distrust", "delta"):
+        for name in ("scale_sigma", "odds_within", "distrust"):
             if getattr(self, name) <= 0:
                 raise ConfigError(f"{name}: expected a number above 0, found {getattr(self, name)}")
         if self.floor < 0:

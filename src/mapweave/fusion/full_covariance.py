@@ -11,11 +11,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..core.config import config
 from ..core.gaussian import solve_psd, symmetrise
 from ..landmarks.landmark_map import LandmarkMap
 from ..solve import Factor, Pattern, Problem, Solution, SolveConfig, Term, minimise, wrapping
 from .cluster import Cluster, JoinedMap
+
+VARIANCE_LEAST = 0.05  # the smallest factor that is believed
+VARIANCE_GREATEST = 400.0  # the largest one
+VARIANCE_ROUNDS = 20  # of estimating all factors, at most
+VARIANCE_STILL = 0.01  # relative change of the factors at which they are found
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,26 +101,12 @@ EXACT = 1000  # variables up to which the expectation is computed and not sample
 DRAWS = 32  # solutions it is sampled from
 
 
-@config
-class VarianceConfig:
-    """How the variance factor of each map is found."""
-
-    least: float = 0.05  # the smallest factor that is believed
-    greatest: float = 400.0  # the largest one
-    rounds: int = 20  # of estimating all factors, at most
-    still: float = 0.01  # relative change of the factors at which they are found
-
-
-VARIANCE = VarianceConfig()
-
-
 def variance_factors(
     maps: Sequence[LandmarkMap],
     problem: Problem,
     solution: Solution,
     factors: Float[np.ndarray, " k"],
     prior: float,
-    cfg: VarianceConfig,
 ) -> Float[np.ndarray, " k"]:
     """The next estimate of each map's factor; the problem's first terms are the maps with the present `factors`.
 
@@ -130,7 +120,7 @@ def variance_factors(
     for k, (term, part, e) in enumerate(zip(terms, own, expected, strict=True)):
         Ar = term.information @ term.residual(solution.x)
         out[k] = (factors[k] * float(Ar @ part @ Ar) + prior) / (max(e, 0.0) + prior)
-    return np.asarray(np.clip(out, cfg.least, cfg.greatest))
+    return np.asarray(np.clip(out, VARIANCE_LEAST, VARIANCE_GREATEST))
 
 
 def _exactly(terms: Sequence[MapTerm], own: Sequence[np.ndarray], solution: Solution) -> Iterator[float]:
@@ -243,7 +233,6 @@ def join(
     scale_sigma: float | None = None,
     floor: float = 0.0,
     variance_prior: float | None = None,
-    variance: VarianceConfig = VARIANCE,
     extra: Sequence[Term] = (),
 ) -> JoinedMap:
     """`maps` (those of `start.members`, in order) as one map with its full covariance.
@@ -255,9 +244,9 @@ def join(
     problem, layout = build(maps, start, _noise(maps, factors, floor), scale_sigma, extra)
     pattern = grouped(Pattern.of(problem), problem, layout)
     solution = minimise(problem, SOLVE, pattern)
-    for i in range(variance.rounds if variance_prior is not None else 0):
-        new = variance_factors(maps, problem, solution, factors, variance_prior or 0.0, variance)
-        last = np.abs(np.log(new / factors)).max() < variance.still or i == variance.rounds - 1
+    for i in range(VARIANCE_ROUNDS if variance_prior is not None else 0):
+        new = variance_factors(maps, problem, solution, factors, variance_prior or 0.0)
+        last = np.abs(np.log(new / factors)).max() < VARIANCE_STILL or i == VARIANCE_ROUNDS - 1
         factors = new
         problem, layout = build(
             maps, _from(start, solution.x, layout), _noise(maps, factors, floor), scale_sigma, extra

@@ -21,6 +21,11 @@ from ..kernels.dense import mirror
 from ..landmarks.association import pairing_probabilities
 from ..landmarks.landmark_map import GlobalMap, Submap
 
+PAIRING_DENSITY = 4e-4  # [1/m^2] landmarks expected, times the chance that one beside a new one went unseen
+PAIRING_CANDIDATES = 40  # pairs weighed together, the nearest
+PAIRING_REACH = 3.0  # [m] apart up to which two landmarks of the map may turn out to be one
+PAIRING_APART = 10.0  # [m] apart from which two landmarks of one submap are never asked about again
+
 ITERATIONS = 10  # at most; with little noise two suffice
 CONVERGED = 1e-6  # [m], [rad]
 FLOOR = 1e-12  # what keeps a constraint on things already certain solvable: [m^2], and as a share
@@ -34,10 +39,6 @@ class PairingConfig:
 
     gate: float = 18.42  # D^2 of two landmarks taken for one, 0.9999 of chi-square with 2 degrees of freedom
     sure: float = 0.9  # probability above which two landmarks become one
-    density: float = 4e-4  # [1/m^2] landmarks expected, times the chance that one beside a new one went unseen
-    candidates: int = 40  # pairs weighed together, the nearest
-    reach: float = 3.0  # [m] apart up to which two landmarks of the map may turn out to be one
-    apart: float = 10.0  # [m] apart from which two landmarks of one submap are never asked about again
 
 
 PAIRING = PairingConfig()
@@ -139,14 +140,14 @@ class MapAndSubmap:
         order = np.argsort(away)[: 8 * len(free_l) + 32]
         i, m = free_l[order // len(free_g)], free_g[order % len(free_g)]
         D2 = self._distances(i, m)
-        order = np.argsort(D2)[: min(int((cfg.gate > D2).sum()), cfg.candidates)]
+        order = np.argsort(D2)[: min(int((cfg.gate > D2).sum()), PAIRING_CANDIDATES)]
         i, m = i[order], m[order]
         if not len(i):
             return [], frozenset()
         pairs = list(zip(i.tolist(), m.tolist(), strict=True))
         h, H, used = self.residuals(pairs)
         S = symmetrise(H @ self.rows(used)[:, used] @ H.T)
-        p = pairing_probabilities(np.stack([i, len(self.points) + m], axis=1), h.reshape(-1, 2), S, cfg.density)
+        p = pairing_probabilities(np.stack([i, len(self.points) + m], axis=1), h.reshape(-1, 2), S, PAIRING_DENSITY)
         old = np.bincount(i, weights=p, minlength=len(self.points))
         torn = frozenset(int(k) for k in np.unique(i) if old[k] > cfg.sure and p[i == k].max() <= cfg.sure)
         return [pair for pair, q in zip(pairs, p, strict=True) if q > cfg.sure], torn
@@ -221,18 +222,21 @@ class _Merging:
         if len(self.keep) < 2:
             return None
         near = [
-            (int(self.keep[min(k)]), int(self.keep[max(k)])) for k in cKDTree(marks[self.keep]).query_pairs(cfg.reach)
+            (int(self.keep[min(k)]), int(self.keep[max(k)]))
+            for k in cKDTree(marks[self.keep]).query_pairs(PAIRING_REACH)
         ]
         pairs = [(a, b) for a, b in sorted(near) if ordered_pair(ids[a], ids[b]) not in self.apart]
         D2 = [float((e := marks[a] - marks[b]) @ np.linalg.solve(self._spread(a, b), e)) for a, b in pairs]
-        pairs = [pairs[k] for k in np.argsort(D2, kind="stable")[: cfg.candidates] if cfg.gate > D2[k]]
+        pairs = [pairs[k] for k in np.argsort(D2, kind="stable")[:PAIRING_CANDIDATES] if cfg.gate > D2[k]]
         if not pairs:
             return None
         a, b = np.array(pairs, dtype=np.intp).T
         i, j = ((self.first + 2 * k[:, None] + np.arange(2)).ravel() for k in (a, b))
         HU = self.U[:, i] - self.U[:, j]
         HP = self.P[i] - self.P[j]
-        p = pairing_probabilities(np.array(pairs), marks[a] - marks[b], HP[:, i] - HP[:, j] - HU.T @ HU, cfg.density)
+        p = pairing_probabilities(
+            np.array(pairs), marks[a] - marks[b], HP[:, i] - HP[:, j] - HU.T @ HU, PAIRING_DENSITY
+        )
         best = int(np.argmax(p))
         return pairs[best] if p[best] > cfg.sure else None
 
@@ -313,7 +317,7 @@ def hand_over(
     out = _forward(G, Y, names, [i for i, name in enumerate(names) if name is not None and i not in pairs])
     merged: tuple[tuple[str, str], ...] = ()
     if not known:
-        out = replace(out, apart=out.apart | _apart(out, [name for name in names if name is not None], cfg.apart))
+        out = replace(out, apart=out.apart | _apart(out, [name for name in names if name is not None], PAIRING_APART))
         out, merged = merge_duplicates(out, cfg)
         renamed = {gone: kept for kept, gone in merged}
         names = tuple(_follow(name, renamed) for name in names)

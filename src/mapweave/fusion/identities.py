@@ -18,6 +18,15 @@ from ..core.config import config
 from ..landmarks.landmark_map import LandmarkMap
 from .alignment import JointFit, joint_fit, log_correspondences, log_evidence, spread_area
 
+IDENTITY_LINKS = 6  # landmarks that must agree before a match is believed
+IDENTITY_CHANCE = 5.0  # how much likelier than chance, all ways to pair as many landmarks counted
+IDENTITY_ODDS = 5.0  # how much likelier than any other alignment
+IDENTITY_LOOSE = 0.05  # probability that maps err by noise and scale too, before they are compared
+IDENTITY_TIGHT = 0.1  # share of noise and scale that is left where they do not
+CHI2_PER_DOF = 3.0  # chi-square per degree of freedom up to which a match is believed
+IDENTITY_RIVALS = 8  # distinct alignments that are worked out
+IDENTITY_LONE = 18.0  # chi-square (two degrees) that one link alone may add
+
 CHUNK = 2_000_000  # distances held at once
 
 
@@ -30,18 +39,10 @@ class IdentityConfig:
     the evidence is that of the likelier of the two, `loose` the probability of the first.
     """
 
-    links: int = 6  # landmarks that must agree before a match is believed
-    chance: float = 5.0  # how much likelier than chance, all ways to pair as many landmarks counted
-    odds: float = 5.0  # how much likelier than any other alignment
-    loose: float = 0.05  # probability that maps err by noise and scale too, before they are compared
-    tight: float = 0.1  # share of noise and scale that is left where they do not
-    chi2_per_dof: float = 3.0  # chi-square per degree of freedom up to which a match is believed
     gate: float = 3.0  # standard deviations within which two landmarks may be one
     noise: float = 0.01  # [m] what covariances do not know of
     scale_sigma: float = 0.02  # deviation of one map's scale from the other's
     hypotheses: int = 20_000  # alignments tried, at most
-    rivals: int = 8  # distinct alignments that are worked out
-    lone: float = 18.0  # chi-square (two degrees) that one link alone may add
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,30 +82,30 @@ def match_maps(source: LandmarkMap, target: LandmarkMap, cfg: IdentityConfig | N
         return Match(
             none, np.zeros(3), 0.0, 0, 0, accepted=False, reason="no two landmarks lie equally far apart in both"
         )
-    candidates.sort(key=lambda c: (len(c.links) < cfg.links, -c.evidence, -len(c.links)))
+    candidates.sort(key=lambda c: (len(c.links) < IDENTITY_LINKS, -c.evidence, -len(c.links)))
     best = candidates[0]
     rivals = [c for c in candidates[1:] if _rivals(c, best, source, target, cfg)]
     rival = max((len(c.links) for c in rivals), default=0)
     lead = best.evidence - max((c.evidence for c in rivals), default=-np.inf)
     k = len(best.links)
-    reason = _refusal(best, rival, lead if k > 2 else 0.0, cfg) or _chance(best, len(source), len(target), cfg)
+    reason = _refusal(best, rival, lead if k > 2 else 0.0) or _chance(best, len(source), len(target))
     return Match(best.links, best.fit.T, best.fit.chi2, 2 * k - 3, rival, not reason, reason, best.evidence)
 
 
-def _refusal(best: AlignmentCandidate, rival: int, lead: float, cfg: IdentityConfig) -> str:
+def _refusal(best: AlignmentCandidate, rival: int, lead: float) -> str:
     k = len(best.links)
-    if k < cfg.links:
-        return f"{k} landmarks fit together, {cfg.links} are needed"
-    if lead < np.log(cfg.odds):
+    if k < IDENTITY_LINKS:
+        return f"{k} landmarks fit together, {IDENTITY_LINKS} are needed"
+    if lead < np.log(IDENTITY_ODDS):
         return f"{k} landmarks fit together, but {rival} do as well in another alignment"
     per_dof = best.fit.chi2 / (2 * k - 3)
-    if per_dof > cfg.chi2_per_dof:
+    if per_dof > CHI2_PER_DOF:
         return f"the {k} landmarks that lie together do not fit: chi-square per degree of freedom {per_dof:.1f}"
     return ""
 
 
-def _chance(best: AlignmentCandidate, n: int, m: int, cfg: IdentityConfig) -> str:
-    if best.evidence >= np.log(cfg.chance):
+def _chance(best: AlignmentCandidate, n: int, m: int) -> str:
+    if best.evidence >= np.log(IDENTITY_CHANCE):
         return ""
     return f"that {len(best.links)} landmarks of {n} and {m} fit together may be chance"
 
@@ -114,11 +115,11 @@ def _rivals(
 ) -> bool:
     """Whether `c` fits and is another alignment than `best`, no worse version of it with half the links alike."""
     alike = int(np.count_nonzero((c.links[:, None] == best.links).all(axis=2).any(axis=1)))
-    return 2 * alike < len(c.links) and _distinct(c.fit.T, best.fit.T, source, target, cfg) and _fits(c, cfg)
+    return 2 * alike < len(c.links) and _distinct(c.fit.T, best.fit.T, source, target, cfg) and _fits(c)
 
 
-def _fits(c: AlignmentCandidate, cfg: IdentityConfig) -> bool:
-    return len(c.links) > 2 and c.fit.chi2 <= cfg.chi2_per_dof * (2 * len(c.links) - 3)
+def _fits(c: AlignmentCandidate) -> bool:
+    return len(c.links) > 2 and c.fit.chi2 <= CHI2_PER_DOF * (2 * len(c.links) - 3)
 
 
 def _weighed(
@@ -130,8 +131,8 @@ def _weighed(
         return AlignmentCandidate(links, fit, -np.inf)
     area = max(min(spread_area(source), spread_area(target)), 1e-12)
     models = (
-        (cfg.noise, cfg.scale_sigma, cfg.loose),
-        (cfg.tight * cfg.noise, cfg.tight * cfg.scale_sigma, 1 - cfg.loose),
+        (cfg.noise, cfg.scale_sigma, IDENTITY_LOOSE),
+        (IDENTITY_TIGHT * cfg.noise, IDENTITY_TIGHT * cfg.scale_sigma, 1 - IDENTITY_LOOSE),
     )
     best = (-np.inf, links)
     for noise, scale_sigma, share in models:
@@ -143,7 +144,7 @@ def _weighed(
             if evidence <= before:
                 break
             best, before = max(best, (evidence, kept), key=lambda b: b[0]), evidence
-            if len(kept) <= max(cfg.links, 3):
+            if len(kept) <= max(IDENTITY_LINKS, 3):
                 break
             kept = np.delete(kept, int(np.argmax(refit.single)), axis=0)
     if len(best[1]) < len(links):
@@ -190,11 +191,11 @@ def _proposals(source: LandmarkMap, target: LandmarkMap, cfg: IdentityConfig) ->
         near = 1.0 - (d.real**2 + d.imag**2) / gates2
         score[a : a + step] = np.maximum(near.max(axis=2), 0.0).sum(axis=1)
     out: list[np.ndarray] = []
-    for h in np.argsort(-score, kind="stable")[: 40 * cfg.rivals]:
+    for h in np.argsort(-score, kind="stable")[: 40 * IDENTITY_RIVALS]:
         T = se2.pose(shift[h].real, shift[h].imag, float(np.angle(turn[h])))
         if all(_distinct(T, U, source, target, cfg) for U in out):
             out.append(T)
-            if len(out) == cfg.rivals:
+            if len(out) == IDENTITY_RIVALS:
                 break
     return out
 
@@ -259,7 +260,7 @@ def _worked_out(
         return links, fit
     fit = joint_fit(source, target, links, fit.T, cfg.noise, cfg.scale_sigma)
     links, fit = _exchanged(source, target, links, fit, cfg)
-    while len(links) > 2 and fit.single.max() > cfg.lone:
+    while len(links) > 2 and fit.single.max() > IDENTITY_LONE:
         links = np.delete(links, int(np.argmax(fit.single)), axis=0)
         fit = joint_fit(source, target, links, fit.T, cfg.noise, cfg.scale_sigma)
     return links, fit

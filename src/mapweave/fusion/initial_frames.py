@@ -21,7 +21,7 @@ from ..core.rows import spread
 from ..landmarks.landmark_map import LandmarkMap
 from .alignment import RigidFit, align_robust, joint_fit, log_evidence, spread_area
 from .cluster import ENOUGH, Cluster
-from .config import FuseConfig
+from .config import FUSE_GATE, FUSE_ODDS, FUSE_REFUSE, FUSE_WEIGHED, GATE_SIGMAS, MISLABELLED_CHI2, FuseConfig
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +123,7 @@ class Consensus:
         """How far [m] each of map k's landmarks may lie from where the others put it."""
         _, _, variance = self.others(k)
         both = variance + self.entries.variance[self.entries.of_map(k)]
-        return np.asarray(np.maximum(metres, self.cfg.gate_sigmas * np.sqrt(both)))
+        return np.asarray(np.maximum(metres, GATE_SIGMAS * np.sqrt(both)))
 
     def fit(self, k: int) -> RigidFit | None:
         """Map k laid over what the others hold; None with fewer than two landmarks in common."""
@@ -131,12 +131,12 @@ class Consensus:
         if known.sum() < 2:
             return None
         source = self.entries.local[self.entries.of_map(k)]
-        return align_robust(source[known], place[known], self.gates(k, self.cfg.gate)[known])
+        return align_robust(source[known], place[known], self.gates(k, FUSE_GATE)[known])
 
     def agrees(self, k: int, fit: RigidFit) -> bool:
         """Whether half of map k's shared landmarks lie where the others put them, grossly."""
         known, _, _ = self.others(k)
-        return float(np.median(fit.residual / self.gates(k, self.cfg.refuse)[known])) <= 1.0
+        return float(np.median(fit.residual / self.gates(k, FUSE_REFUSE)[known])) <= 1.0
 
     def means(self) -> Float[np.ndarray, "n 2"]:
         """Where every landmark lies: the mean of the entries that count, of all where none does; NaN if not held."""
@@ -223,7 +223,7 @@ def find_exchanged(cluster: Consensus, outliers: Sequence[Outlier]) -> list[Outl
         distance = np.where(np.isfinite(distance), distance, 1e6)
         for a, b in zip(*linear_sum_assignment(np.minimum(distance, 1e3)), strict=True):
             residual = out[mine[a]].residual
-            if a != b and distance[a, b] < min(cluster.cfg.gate, 0.5 * residual):
+            if a != b and distance[a, b] < min(FUSE_GATE, 0.5 * residual):
                 d = out[mine[a]]
                 out[mine[a]] = Outlier(k, d.id, d.residual, cluster.entries.ids[names[b]], d.alone)
         sent = {out[i].id for i in mine if out[i].belongs_to}
@@ -262,7 +262,7 @@ def _leave_one_out(cluster: Consensus, k: int) -> tuple[Float[np.ndarray, " m"],
     known, place, _ = cluster.others(k)
     at = cluster.entries.of_map(k)
     residual = np.hypot(*(cluster.position[at] - place).T) * known * cluster.counts[at]
-    return residual / cluster.gates(k, cluster.cfg.gate), residual
+    return residual / cluster.gates(k, FUSE_GATE), residual
 
 
 def _elsewhere(cluster: Consensus, name: int, k: int) -> Float[np.ndarray, "2"]:
@@ -317,11 +317,11 @@ def same_place(source: LandmarkMap, target: LandmarkMap, cfg: FuseConfig) -> Fra
     """
     there = set(target.ids)
     shared = tuple(name for name in source.ids if name in there)
-    weighed = tuple(shared[i] for i in spread(len(shared), cfg.weighed))
+    weighed = tuple(shared[i] for i in spread(len(shared), FUSE_WEIGHED))
     a, b = _distrusted(source.select(weighed), cfg), _distrusted(target.select(weighed), cfg)
-    rough = align_robust(a.mean, b.mean, np.full(len(weighed), cfg.gate))
+    rough = align_robust(a.mean, b.mean, np.full(len(weighed), FUSE_GATE))
     apart = np.hypot(*(se2.act(rough.T_target_source, a.mean) - b.mean).T)
-    far = [int(i) for i in np.argsort(-apart, kind="stable") if apart[i] > cfg.gate]
+    far = [int(i) for i in np.argsort(-apart, kind="stable") if apart[i] > FUSE_GATE]
     area = max(min(spread_area(source), spread_area(target)), 1e-12)
     return FrameEvidence(
         log_odds=_log_odds(a, b, rough.T_target_source, area, cfg),
@@ -359,7 +359,7 @@ class PlaceTest:
     def needed(self, members: Sequence[int]) -> float:
         """The log-odds from which these maps are one place."""
         one = len({self.recordings[k] for k in members}) == 1
-        return float(np.log(self.cfg.odds_within if one else self.cfg.odds))
+        return float(np.log(self.cfg.odds_within if one else FUSE_ODDS))
 
 
 def _distrusted(m: LandmarkMap, cfg: FuseConfig) -> LandmarkMap:
@@ -374,7 +374,7 @@ def _log_odds(a: LandmarkMap, b: LandmarkMap, T: Float[np.ndarray, "3"], area: f
     n = len(a)
     links = np.stack([np.arange(n)] * 2, axis=1)
     fit = joint_fit(a, b, links, T, cfg.floor, cfg.scale_sigma)
-    while len(links) > ENOUGH and fit.single.max() > cfg.mislabelled_chi2:
+    while len(links) > ENOUGH and fit.single.max() > MISLABELLED_CHI2:
         if 2 * (len(links) - 1) < n:
             return -np.inf
         links = np.delete(links, int(np.argmax(fit.single)), axis=0)
@@ -539,8 +539,8 @@ def _absorb(into: Consensus, other: Consensus, test: PlaceTest) -> bool:
     target = into.total[both] / into.count[both, None]
     sigma = np.sqrt(other.variance[both] / other.count[both] ** 2 + into.variance[both] / into.count[both] ** 2)
     cfg = into.cfg
-    fit = align_robust(source, target, np.maximum(cfg.gate, cfg.gate_sigmas * sigma))
-    if float(np.median(fit.residual / np.maximum(cfg.refuse, cfg.gate_sigmas * sigma))) > 1.0:
+    fit = align_robust(source, target, np.maximum(FUSE_GATE, GATE_SIGMAS * sigma))
+    if float(np.median(fit.residual / np.maximum(FUSE_REFUSE, GATE_SIGMAS * sigma))) > 1.0:
         return False
     evidence = same_place(_as_map(other, both), _as_map(into, both), cfg)
     if evidence.log_odds < test.needed([*_holders(into, both), *_holders(other, both)]):

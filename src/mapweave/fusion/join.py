@@ -10,7 +10,7 @@ from ..core.gaussian import is_positive_definite
 from ..core.names import in_order
 from ..landmarks.landmark_map import LandmarkMap, LocalMap
 from .cluster import ENOUGH, Cluster, JoinedMap, average
-from .config import FuseConfig
+from .config import CONSTANT_VARIANCE, FUSE_DELTA, SIGHTING_EVERY, VARIANCE_PRIOR, FuseConfig
 from .full_covariance import join
 from .identities import identify
 from .initial_frames import (
@@ -97,7 +97,7 @@ def _relabel(labels: dict[str, dict[str, str]], m: LocalMap, corrected: dict[str
 def _sightings(maps: Sequence[LocalMap], frames: Float[np.ndarray, "m 3"], cfg: FuseConfig) -> list[FrameSightings]:
     """What the robots of a cluster saw of each other, as `cfg` trusts it."""
     return frame_sightings(
-        maps, frames, range_sigma=cfg.sighting_range, bearing_sigma=cfg.sighting_bearing, every=cfg.sighting_every
+        maps, frames, range_sigma=cfg.sighting_range, bearing_sigma=cfg.sighting_bearing, every=SIGHTING_EVERY
     )
 
 
@@ -130,14 +130,13 @@ def _join(
                 start,
                 scale_sigma=cfg.scale_sigma,
                 floor=cfg.floor,
-                variance_prior=cfg.variance_prior,
-                variance=cfg.variance,
+                variance_prior=VARIANCE_PRIOR,
                 extra=extra,
             )
         case "full" if cfg.repeats == 1:  # what the relative form gives, to first order in the noise, in fewer steps
             return join(maps, start, extra=extra)
         case weights:
-            how = RelativeConfig(weights=weights, delta=cfg.delta, variance=cfg.constant_variance, repeats=cfg.repeats)
+            how = RelativeConfig(weights=weights, delta=FUSE_DELTA, variance=CONSTANT_VARIANCE, repeats=cfg.repeats)
             return _relative(maps, start, how, seen)
 
 

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from ..core import se2
 from ..core.gaussian import is_positive_definite, solve_psd, symmetrise
 from ..landmarks.landmark_map import LandmarkMap, LocalMap
-from .config import FuseConfig
+from .config import JUDGE_AGAIN, FuseConfig
 from .full_covariance import JoinLayout, MapTerm
 from .join import fuse
 from .result import Component, Fusion
@@ -214,7 +214,7 @@ class OnlineFuser:
         known = {r for part in self.sums for r in part.component.robots}
         return (
             bool(self.sums)
-            and _sightings(latest) < self.cfg.judge_again * self.sightings
+            and _sightings(latest) < JUDGE_AGAIN * self.sightings
             and all(
                 m.robot in known
                 and m.submap.ids == self.latest[m.robot].submap.ids

@@ -22,6 +22,8 @@ from .cluster import Cluster, clusters
 from .relative_information import Measurement, RelativeLayout, Weights, measurement
 from .robot_sightings import FrameSightings, sighting_factor
 
+RELATIVE_PRIOR_FRAME_VARIANCE = 1e5  # [m^2 and rad^2]
+
 ROUGH = SolveConfig(max_iterations=400)
 POLISH = SolveConfig(damping=0.0, max_iterations=8, step_tolerance=1e-12)
 
@@ -39,7 +41,6 @@ class RelativeConfig:
     variance: float = 1e-3  # [rad^2 and m^2] of every row under weights="constant"
     repeats: int = 1
     reference: Literal["measurement", "prior"] = "measurement"
-    prior_frame_variance: float = 1e5  # [m^2 and rad^2]
     prior_landmark_variance: float = 1e-3  # [m^2]
 
 
@@ -178,7 +179,7 @@ def _prior_factor(layout: RelativeLayout, x0: Float[np.ndarray, " size"], cfg: R
 def prior_variances(layout: RelativeLayout, cfg: RelativeConfig) -> Float[np.ndarray, " size"]:
     """The diagonal of the paper's initial covariance: frames loose, landmarks near their start."""
     P = np.full(layout.size, cfg.prior_landmark_variance)
-    P[: layout.first_landmark] = cfg.prior_frame_variance
+    P[: layout.first_landmark] = RELATIVE_PRIOR_FRAME_VARIANCE
     return P
 
 

@@ -20,7 +20,7 @@ from ..core.laser_log import LaserLog
 from ..core.records import Scan, Track, frozen
 from .inertial import IMU, Inertial, with_turns
 from .range_unit import unit_of_ranges
-from .scan_checks import ScanAgreementConfig, range_difference, scan_agreement, without_false_returns
+from .scan_checks import range_difference, scan_agreement, without_false_returns
 from .stamps import Mended, mended_stamps, rows_by_scanner
 
 PAIRS = 400  # scan pairs looked at, at most
@@ -155,8 +155,8 @@ class RawLog:
         elif looks_mirrored(log_scans):
             self.find("beams-mirrored")
         else:
-            agreement, cfg = scan_agreement(log_scans), ScanAgreementConfig()
-            found = None if agreement is None else agreement.finding(self.robot, cfg)
+            agreement = scan_agreement(log_scans)
+            found = None if agreement is None else agreement.finding(self.robot)
             self.findings += [] if found is None else [found]
         return LaserLog(
             self.robot,

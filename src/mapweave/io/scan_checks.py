@@ -18,44 +18,48 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..core import se2
-from ..core.config import config
 from ..core.findings import Finding, turned_scanner
 from ..core.records import Scan, frozen
+
+FALSE_RETURN_NEAR = 1.0  # [m] and nearer: the robot itself
+FALSE_RETURN_SAME = 0.03  # [m] about its middle a beam's range stays there,
+FALSE_RETURN_SHARE = 0.9  # in so many of the places looked at,
+FALSE_RETURN_BESIDE = 0.3  # or in so many beside such a beam: edges flicker
+FALSE_RETURN_APART = 0.25  # [m] or [rad] from one place to the next
+FALSE_RETURN_PLACES = 20  # at least, and
+FALSE_RETURN_MOST_PLACES = 200  # at most
+FALSE_RETURN_TURNED = 6.0  # [rad] in all from place to place: driving straight, walls stay where they are, too
+FALSE_RETURN_SCANS = 20  # at least, and
+EQUAL_SHARE = (0.02, 0.9)  # of their returns that have exactly the greatest range of all,
+FALSE_RETURN_TIMES = 20.0  # as many as have any one range
+FALSE_RETURN_BELOW = 0.1  # of it beneath, on average
+
+SCAN_AGREEMENT_PAIRS = 400  # scans compared with a later one, at most
+SCAN_AGREEMENT_AHEAD = 20  # scans, within which the later one is looked for
+SCAN_AGREEMENT_WAY = (0.1, 0.6)  # [m] by the wheels between the two,
+SCAN_AGREEMENT_TURN = 0.06  # [rad] and by how much at most they turn
+SCAN_AGREEMENT_SLOPE = 0.25  # of the range, by which a beam's neighbours may differ in range to lie on one wall
+SCAN_AGREEMENT_NEAR = 0.6  # [m] along the normal, from which a change is of another wall
+SCAN_AGREEMENT_LEAST_PAIRS = 40  # of scans that must speak
+SCAN_AGREEMENT_SURE = 6.0  # standard deviations
+SCAN_AGREEMENT_TURNED = 0.2  # [rad] from which a mounting is told,
+SCAN_AGREEMENT_SEEN = 0.6  # where so much of the motion is seen: what slides along walls lowers it
+SCAN_AGREEMENT_SCALE = (0.45, 1.4)  # outside which a factor is told,
+SCAN_AGREEMENT_ACROSS = 0.35  # if walls across the motion make up so much of all: in corridors no motion is seen
 
 OWN = "return of the robot itself"
 GREATEST = "greatest range, which stands for no return"
 
 
-@config
-class FalseReturnConfig:
-    """When returns are the robot's own, and when a greatest range is none."""
-
-    near: float = 1.0  # [m] and nearer: the robot itself
-    same: float = 0.03  # [m] about its middle a beam's range stays there,
-    share: float = 0.9  # in so many of the places looked at,
-    beside: float = 0.3  # or in so many beside such a beam: edges flicker
-    apart: float = 0.25  # [m] or [rad] from one place to the next
-    places: int = 20  # at least, and
-    most_places: int = 200  # at most
-    turned: float = 6.0  # [rad] in all from place to place: driving straight, walls stay where they are, too
-    scans: int = 20  # at least, and
-    equal_share: tuple[float, float] = (0.02, 0.9)  # of their returns that have exactly the greatest range of all,
-    times: float = 20.0  # as many as have any one range
-    below: float = 0.1  # of it beneath, on average
-
-
-def without_false_returns(
-    scans: Sequence[Scan], cfg: FalseReturnConfig | None = None
-) -> tuple[list[Scan], Counter[str]]:
+def without_false_returns(scans: Sequence[Scan]) -> tuple[list[Scan], Counter[str]]:
     """The scans without such returns, and how many of either kind were left out. Needs `Scan.odometry` for its own."""
-    cfg = cfg or FalseReturnConfig()
     out, count = list(scans), Counter[str]()
     for rows in _alike(scans):
-        if len(rows) < cfg.scans:
+        if len(rows) < FALSE_RETURN_SCANS:
             continue
         group = [scans[k] for k in rows]
-        far = stands_for_nothing(np.concatenate([scan.ranges[scan.hit] for scan in group]), cfg)
-        depth = own_body(group, cfg)
+        far = stands_for_nothing(np.concatenate([scan.ranges[scan.hit] for scan in group]))
+        depth = own_body(group)
         for k in rows:
             scan = out[k]
             greatest, own = scan.hit & (scan.ranges >= far), scan.hit & (scan.ranges <= depth)
@@ -65,39 +69,39 @@ def without_false_returns(
     return out, +count
 
 
-def stands_for_nothing(ranges: Float[np.ndarray, " n"], cfg: FalseReturnConfig) -> float:
+def stands_for_nothing(ranges: Float[np.ndarray, " n"]) -> float:
     """The greatest of `ranges` where far more returns have exactly it than any other range near it, else infinite."""
     if not len(ranges):
         return np.inf
     top = float(ranges.max())
     equal = int((ranges == top).sum())
-    below = ranges[(ranges < top) & (ranges >= (1.0 - cfg.below) * top)]
+    below = ranges[(ranges < top) & (ranges >= (1.0 - FALSE_RETURN_BELOW) * top)]
     usual = len(below) / max(1, len(np.unique(below)))
-    least, most = cfg.equal_share
-    few = equal < max(least * len(ranges), cfg.times * usual) or equal > most * len(ranges)
+    least, most = EQUAL_SHARE
+    few = equal < max(least * len(ranges), FALSE_RETURN_TIMES * usual) or equal > most * len(ranges)
     return np.inf if few else top
 
 
-def own_body(scans: Sequence[Scan], cfg: FalseReturnConfig) -> Float[np.ndarray, " n"]:
+def own_body(scans: Sequence[Scan]) -> Float[np.ndarray, " n"]:
     """Up to which range [m] each beam sees the robot itself; minus infinity for beams that see past it.
 
     scans: of one scanner with the same beams. A beam sees the robot where its range is near and stays the same
     wherever the robot stands and turns.
     """
     none = np.full(len(scans[0].ranges), -np.inf)
-    rows = _places(scans, cfg)
-    if len(rows) < cfg.places:
+    rows = _places(scans)
+    if len(rows) < FALSE_RETURN_PLACES:
         return none
     heading = np.array([scans[k].odometry[2] for k in rows])  # type: ignore[index]
-    if np.abs(se2.wrap_angle(np.diff(heading))).sum() < cfg.turned:
+    if np.abs(se2.wrap_angle(np.diff(heading))).sum() < FALSE_RETURN_TURNED:
         return none
-    rows = rows[:: max(1, len(rows) // cfg.most_places)]
+    rows = rows[:: max(1, len(rows) // FALSE_RETURN_MOST_PLACES)]
     ranges, hit = np.array([scans[k].ranges for k in rows]), np.array([scans[k].hit for k in rows])
     middle = np.median(np.where(hit, ranges, np.inf), axis=0)
-    stays = (hit & (np.abs(ranges - np.where(middle < np.inf, middle, -1.0)) <= cfg.same)).mean(axis=0)
-    own = (middle <= cfg.near) & (stays >= cfg.share)
-    beside = (middle <= cfg.near) & (stays >= cfg.beside) & (np.roll(own, 1) | np.roll(own, -1))
-    return np.asarray(np.where(own | beside, middle + 2 * cfg.same, -np.inf))
+    stays = (hit & (np.abs(ranges - np.where(middle < np.inf, middle, -1.0)) <= FALSE_RETURN_SAME)).mean(axis=0)
+    own = (middle <= FALSE_RETURN_NEAR) & (stays >= FALSE_RETURN_SHARE)
+    beside = (middle <= FALSE_RETURN_NEAR) & (stays >= FALSE_RETURN_BESIDE) & (np.roll(own, 1) | np.roll(own, -1))
+    return np.asarray(np.where(own | beside, middle + 2 * FALSE_RETURN_SAME, -np.inf))
 
 
 def _alike(scans: Sequence[Scan]) -> Iterator[list[int]]:
@@ -110,14 +114,14 @@ def _alike(scans: Sequence[Scan]) -> Iterator[list[int]]:
     return iter(groups.values())
 
 
-def _places(scans: Sequence[Scan], cfg: FalseReturnConfig) -> list[int]:
+def _places(scans: Sequence[Scan]) -> list[int]:
     """Scans from one place to the next by the wheels; none without odometry."""
     if any(scan.odometry is None for scan in scans):
         return []
     poses = np.array([scan.odometry for scan in scans], dtype=float).tolist()
     out, last = [0], poses[0]
     for k, pose in enumerate(poses):
-        if max(abs(pose[0] - last[0]), abs(pose[1] - last[1]), abs(pose[2] - last[2])) >= cfg.apart:
+        if max(abs(pose[0] - last[0]), abs(pose[1] - last[1]), abs(pose[2] - last[2])) >= FALSE_RETURN_APART:
             out.append(k)
             last = pose
     return out
@@ -129,24 +133,6 @@ def _without(scan: Scan, gone: Bool[np.ndarray, " n"]) -> Scan:
     return replace(
         scan, ranges=frozen(np.where(hit, scan.ranges, scan.range_max)), hit=frozen(hit, np.bool_), intensities=light
     )
-
-
-@config
-class ScanAgreementConfig:
-    """Which scans are compared, and what is told."""
-
-    pairs: int = 400  # scans compared with a later one, at most
-    ahead: int = 20  # scans, within which the later one is looked for
-    way: tuple[float, float] = (0.1, 0.6)  # [m] by the wheels between the two,
-    turn: float = 0.06  # [rad] and by how much at most they turn
-    slope: float = 0.25  # of the range, by which a beam's neighbours may differ in range to lie on one wall
-    near: float = 0.6  # [m] along the normal, from which a change is of another wall
-    least_pairs: int = 40  # of scans that must speak
-    sure: float = 6.0  # standard deviations
-    turned: float = 0.2  # [rad] from which a mounting is told,
-    seen: float = 0.6  # where so much of the motion is seen: what slides along walls lowers it
-    scale: tuple[float, float] = (0.45, 1.4)  # outside which a factor is told,
-    across: float = 0.35  # if walls across the motion make up so much of all: in corridors no motion is seen
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,26 +149,27 @@ class ScanAgreement:
     across: float
     pairs: int
 
-    def finding(self, robot: str, cfg: ScanAgreementConfig) -> Finding | None:
+    def finding(self, robot: str) -> Finding | None:
         """What contradicts; None where nothing clearly does."""
-        if self.pairs < cfg.least_pairs:
+        if self.pairs < SCAN_AGREEMENT_LEAST_PAIRS:
             return None
-        low, high = cfg.scale
-        if self.scale < low and self.across > cfg.across:
+        low, high = SCAN_AGREEMENT_SCALE
+        if self.scale < low and self.across > SCAN_AGREEMENT_ACROSS:
             return Finding("wheels-unlike", robot, value=self.scale)
-        if self.scale >= cfg.seen and abs(self.direction) > max(cfg.turned, cfg.sure * self.direction_sd):
+        if self.scale >= SCAN_AGREEMENT_SEEN and abs(self.direction) > max(
+            SCAN_AGREEMENT_TURNED, SCAN_AGREEMENT_SURE * self.direction_sd
+        ):
             return turned_scanner(robot, self.direction, self.direction_sd)
-        if self.scale - cfg.sure * self.scale_sd > high:
+        if self.scale - SCAN_AGREEMENT_SURE * self.scale_sd > high:
             return Finding("wheels-unlike", robot, value=self.scale)
         return None
 
 
-def scan_agreement(scans: Sequence[Scan], cfg: ScanAgreementConfig | None = None) -> ScanAgreement | None:
+def scan_agreement(scans: Sequence[Scan]) -> ScanAgreement | None:
     """The motion that scans tell beside the wheels'; None where no two can be compared. Needs `Scan.odometry`."""
-    cfg = cfg or ScanAgreementConfig()
     rows, values, speaking = [np.zeros((0, 2))], [np.zeros(0)], 0
-    for a, b, step in _straight(scans, cfg):
-        changes = _changes(a, b, step, cfg)
+    for a, b, step in _straight(scans):
+        changes = _changes(a, b, step)
         if changes is not None:
             rows.append(changes[0])
             values.append(changes[1])
@@ -205,21 +192,25 @@ def scan_agreement(scans: Sequence[Scan], cfg: ScanAgreementConfig | None = None
     )
 
 
-def _straight(scans: Sequence[Scan], cfg: ScanAgreementConfig) -> list[tuple[Scan, Scan, Float[np.ndarray, "3"]]]:
+def _straight(scans: Sequence[Scan]) -> list[tuple[Scan, Scan, Float[np.ndarray, "3"]]]:
     """(scan, a later one, the wheels' motion between them) where the robot drove on without turning."""
     poses = np.array([scan.odometry for scan in scans], dtype=float)
     out: list[tuple[Scan, Scan, Float[np.ndarray, 3]]] = []
-    for k in range(0, len(scans) - 1, max(1, len(scans) // cfg.pairs)):
-        step = se2.between(poses[[k]], poses[k + 1 : k + 1 + cfg.ahead])
+    for k in range(0, len(scans) - 1, max(1, len(scans) // SCAN_AGREEMENT_PAIRS)):
+        step = se2.between(poses[[k]], poses[k + 1 : k + 1 + SCAN_AGREEMENT_AHEAD])
         way = np.hypot(step[:, 0], step[:, 1])
-        good = np.flatnonzero((way >= cfg.way[0]) & (way <= cfg.way[1]) & (np.abs(step[:, 2]) <= cfg.turn))
+        good = np.flatnonzero(
+            (way >= SCAN_AGREEMENT_WAY[0])
+            & (way <= SCAN_AGREEMENT_WAY[1])
+            & (np.abs(step[:, 2]) <= SCAN_AGREEMENT_TURN)
+        )
         if len(good):
             out.append((scans[k], scans[k + 1 + int(good[0])], step[good[0]]))
     return out
 
 
 def _changes(
-    a: Scan, b: Scan, step: Float[np.ndarray, "3"], cfg: ScanAgreementConfig
+    a: Scan, b: Scan, step: Float[np.ndarray, "3"]
 ) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, " m"]] | None:
     """Normals times the wheels' motion and times it turned left, and how much nearer each wall came; None where few."""
     n = len(a.ranges)
@@ -229,7 +220,7 @@ def _changes(
     at = (angle - step[2] - b.angle_min) / b.angle_increment
     low = np.clip(np.floor(at).astype(np.intp), 0, n - 2)
     part = at - low
-    seen = (part >= 0) & (part <= 1) & b.hit[low] & b.hit[low + 1] & _flat(b, cfg)[low]
+    seen = (part >= 0) & (part <= 1) & b.hit[low] & b.hit[low + 1] & _flat(b)[low]
     later = (1 - part) * b.ranges[low] + part * b.ranges[low + 1]
     direction = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     p = a.ranges[:, None] * direction
@@ -237,7 +228,7 @@ def _changes(
     tangent[1:-1] = p[2:] - p[:-2]
     normal = np.stack([tangent[:, 1], -tangent[:, 0]], axis=-1)
     size = np.hypot(*normal.T)
-    flat = _flat(a, cfg)
+    flat = _flat(a)
     good = seen & a.hit & flat & np.roll(flat, 1) & (size > 0)
     if good.sum() < 20:
         return None
@@ -246,16 +237,16 @@ def _changes(
     _, _, yaw = a.T_robot_sensor
     ahead = se2.rotation(-float(yaw)) @ step[:2]
     rows = np.stack([normal @ ahead, normal @ np.array([-ahead[1], ahead[0]])], axis=-1)
-    kept = np.abs(nearer) < cfg.near
+    kept = np.abs(nearer) < SCAN_AGREEMENT_NEAR
     return rows[kept], nearer[kept]
 
 
-def _flat(scan: Scan, cfg: ScanAgreementConfig) -> Bool[np.ndarray, " n"]:
+def _flat(scan: Scan) -> Bool[np.ndarray, " n"]:
     """Whether a beam and the next hit one wall."""
     r = scan.ranges
     next_one = np.append(r[1:], np.inf)
     both = scan.hit & np.append(scan.hit[1:], False)
-    return np.asarray(both & (np.abs(next_one - r) < cfg.slope * np.minimum(r, next_one)))
+    return np.asarray(both & (np.abs(next_one - r) < SCAN_AGREEMENT_SLOPE * np.minimum(r, next_one)))
 
 
 def _robust(A: Float[np.ndarray, "n 2"], y: Float[np.ndarray, " n"]) -> tuple[np.ndarray, np.ndarray]:

@@ -21,6 +21,41 @@ from ..core.records import Odometry
 from .config import EkfSlamConfig
 from .ekf_slam import is_landmark
 
+AGREEMENT_APART = (1, 2, 4, 8)  # sightings of one landmark, from one of a pair to the other
+TURN_SPAN = (0.1, 2.0)  # [s] between two sightings whose bearings are compared,
+WAY_SPAN = (0.5, 4.0)  # [s] and whose ranges are
+AGREEMENT_PAIRS = 100  # from which a scale is judged
+AGREEMENT_BETTER = 0.3  # share of the errors that must go where what was commanded is scaled
+AGREEMENT_ASIDE = 0.3  # share of the ranges' changes that motion to a side must explain,
+MORE_ASIDE = 0.15  # and how much more of them than motion ahead
+AGREEMENT_UNIT = 30.0  # speed scale from which ranges are no metres whatever the speeds
+AGREEMENT_NEAR = 1.6  # factor by which a scale may miss that of a unit
+FULL_TURN = 6.3  # [rad] beyond which a bearing
+AGREEMENT_BEYOND = 0.2  # in such a share of the sightings is in degrees
+AGREEMENT_ABSURD = 50.0  # times what nine rows in ten stay under, from which a row is no command
+WITH_IT = 0.1  # turn scale below which bearings do not follow the turns, whatever the sign
+AGREEMENT_SURE = 6.0  # standard deviations of a median of independent pairs; pairs share sightings
+
+SIFT_WINDOW = 4.0  # [s] either way, in which sightings of one name are compared
+SIFT_TURNED = 1.2  # [rad] commanded between two sightings, from which they are not compared
+SIFT_FLOOR = 0.15  # [m] by which places may differ,
+SIFT_SHARE = 0.08  # and as a share of the distance,
+TURN_ERROR = 0.25  # of the angle commanded in between, times the distance,
+SIFT_DRIFT = 0.12  # of the distance commanded in between,
+SIFT_MOVING = 0.35  # [m/s] and for another robot, which drives
+SIFT_LEAST = 3  # others in the window, from which a sighting is judged
+SIFT_SUPPORT = 0.5  # share of them that must agree with it
+SIFT_ENOUGH = 2  # that must agree, in a log that is sifted
+BLIND_WINDOW = 0.8  # [s] in place of window where no wheels say how the robot went,
+BLIND_TURN = 0.5  # [rad/s] and how fast it may have turned there,
+BLIND_ENOUGH = 1  # and that must agree there
+TURN_SCALES = (0.65, 1.3, 1.6)  # of the expected one, one of which wheels may have instead
+SIFT_FEW = 6  # sightings in a row left of a landmark, below which it may be another one that was misread
+SIFT_DIRTY = 0.08  # share of the sightings judged that are contradicted, from which the log is sifted,
+SIFT_GROSS = 2.5  # or contradicted by so many times the limits, as wrong labels are and noise is not,
+DIRTY_GROSS = 0.005  # and that share,
+BLIND_DIRTY = 0.0008  # or that one without wheels, where hardly a sighting can be contradicted
+
 LEFT = "its odometry is left out"
 
 
@@ -28,22 +63,8 @@ LEFT = "its odometry is left out"
 class AgreementConfig:
     """What pairs of sightings are compared, and between which scales wheels are used."""
 
-    apart: tuple[int, ...] = (1, 2, 4, 8)  # sightings of one landmark, from one of a pair to the other
-    turn_span: tuple[float, float] = (0.1, 2.0)  # [s] between two sightings whose bearings are compared,
-    way_span: tuple[float, float] = (0.5, 4.0)  # [s] and whose ranges are
-    pairs: int = 100  # from which a scale is judged
-    better: float = 0.3  # share of the errors that must go where what was commanded is scaled
-    aside: float = 0.3  # share of the ranges' changes that motion to a side must explain,
-    more_aside: float = 0.15  # and how much more of them than motion ahead
     turn_scale: tuple[float, float] = (0.35, 2.2)  # between which turns are used,
     speed_scale: tuple[float, float] = (0.4, 2.5)  # and speeds
-    unit: float = 30.0  # speed scale from which ranges are no metres whatever the speeds
-    near: float = 1.6  # factor by which a scale may miss that of a unit
-    full_turn: float = 6.3  # [rad] beyond which a bearing
-    beyond: float = 0.2  # in such a share of the sightings is in degrees
-    absurd: float = 50.0  # times what nine rows in ten stay under, from which a row is no command
-    with_it: float = 0.1  # turn scale below which bearings do not follow the turns, whatever the sign
-    sure: float = 6.0  # standard deviations of a median of independent pairs; pairs share sightings
 
 
 TINY = 1e-12  # scale that is none
@@ -82,11 +103,11 @@ class Scale:
         left, at_one = float(np.abs(y - value * x).sum()), float(np.abs(y - x).sum())
         return cls(value, 1.0 - left / whole, 1.0 - left / at_one if at_one else 0.0, len(x), least)
 
-    def elsewhere(self, span: tuple[float, float], cfg: AgreementConfig) -> bool:
+    def elsewhere(self, span: tuple[float, float]) -> bool:
         """Whether it lies clearly outside `span`: noise in what is commanded lowers a scale, nothing raises it."""
-        if self.pairs < cfg.pairs or span[0] <= self.value <= span[1]:
+        if self.pairs < AGREEMENT_PAIRS or span[0] <= self.value <= span[1]:
             return False
-        return self.better >= cfg.better or self.least > span[1]
+        return self.better >= AGREEMENT_BETTER or self.least > span[1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,27 +119,27 @@ class Agreement:
     aside: Scale
 
     @classmethod
-    def of(cls, seen: SightingTable, wheels: Odometry, ekf: EkfSlamConfig, cfg: AgreementConfig) -> "Agreement":
-        angle, way = _commanded(seen.t, wheels, ekf, cfg)
-        a, b = _pairs(seen, cfg.apart)
+    def of(cls, seen: SightingTable, wheels: Odometry, ekf: EkfSlamConfig) -> "Agreement":
+        angle, way = _commanded(seen.t, wheels, ekf)
+        a, b = _pairs(seen, AGREEMENT_APART)
         dt = seen.t[b] - seen.t[a]
-        near = (dt >= cfg.turn_span[0]) & (dt <= cfg.turn_span[1])
-        far = (dt >= cfg.way_span[0]) & (dt <= cfg.way_span[1])
+        near = (dt >= TURN_SPAN[0]) & (dt <= TURN_SPAN[1])
+        far = (dt >= WAY_SPAN[0]) & (dt <= WAY_SPAN[1])
         i, j = a[near], b[near]
         turned = np.remainder(seen.bearing[j] - seen.bearing[i] + np.pi, 2 * np.pi) - np.pi
-        turn = Scale.of(angle[i] - angle[j], turned, cfg.sure)
+        turn = Scale.of(angle[i] - angle[j], turned, AGREEMENT_SURE)
         i, j = a[far], b[far]
         nearer, gone = seen.range[i] - seen.range[j], way[j] - way[i]
         ahead, left = (
-            Scale.of(0.5 * gone * (part(seen.bearing[i]) + part(seen.bearing[j])), nearer, cfg.sure)
+            Scale.of(0.5 * gone * (part(seen.bearing[i]) + part(seen.bearing[j])), nearer, AGREEMENT_SURE)
             for part in (np.cos, np.sin)
         )
         return cls(turn, ahead, left)
 
-    def looks_aside(self, cfg: AgreementConfig) -> bool:
+    def looks_aside(self) -> bool:
         """Whether motion to a side explains the ranges clearly better than motion ahead."""
-        enough = min(self.speed.pairs, self.aside.pairs) >= cfg.pairs
-        return enough and self.aside.fit >= max(cfg.aside, self.speed.fit + cfg.more_aside)
+        enough = min(self.speed.pairs, self.aside.pairs) >= AGREEMENT_PAIRS
+        return enough and self.aside.fit >= max(AGREEMENT_ASIDE, self.speed.fit + MORE_ASIDE)
 
 
 def with_wheels_checked(log: LandmarkLog, ekf: EkfSlamConfig, cfg: AgreementConfig | None = None) -> LandmarkLog:
@@ -127,15 +148,15 @@ def with_wheels_checked(log: LandmarkLog, ekf: EkfSlamConfig, cfg: AgreementConf
     Raises DataError for bearings in degrees and for ranges in units smaller than metres.
     """
     cfg, seen, wheels = cfg or AgreementConfig(), log.sightings, log.odometry
-    _check_bearings(log, cfg)
+    _check_bearings(log)
     if wheels is None or not len(seen):
         return log
-    agreement = Agreement.of(seen, wheels, ekf, cfg)
+    agreement = Agreement.of(seen, wheels, ekf)
     findings: list[Finding] = []
     turn, speed = agreement.turn, agreement.speed
-    if turn.elsewhere(cfg.turn_scale, cfg):
-        unit = _unit(turn.value, TURN_UNITS, cfg)
-        if unit is None and abs(turn.value) < cfg.with_it:
+    if turn.elsewhere(cfg.turn_scale):
+        unit = _unit(turn.value, TURN_UNITS)
+        if unit is None and abs(turn.value) < WITH_IT:
             why = (
                 f"its bearings do not follow its turns ({turn.value:.2f} of them): its odometry is of another robot or "
                 "another time, or wrong"
@@ -153,16 +174,16 @@ def with_wheels_checked(log: LandmarkLog, ekf: EkfSlamConfig, cfg: AgreementConf
             Finding("turns-unlike", log.robot, value=why, action=f"its turns are taken {_as(unit, turn.value)}")
         )
         wheels = Odometry(wheels.t, wheels.v, wheels.w * np.copysign(TURN_UNITS[unit], turn.value))
-    if agreement.looks_aside(cfg):
+    if agreement.looks_aside():
         side = "left" if agreement.aside.value > 0 else "right"
         return _without_wheels(log, [*findings, Finding("camera-turned", log.robot, value=side, action=LEFT)])
-    if speed.elsewhere(cfg.speed_scale, cfg):
-        if speed.value > cfg.unit:
+    if speed.elsewhere(cfg.speed_scale):
+        if speed.value > AGREEMENT_UNIT:
             raise DataError(
                 f"{log.source}: {log.robot}: its ranges change {_times(speed.value)} what its speed says: "
                 "expected metres"
             )
-        unit = _unit(speed.value, SPEED_UNITS, cfg)
+        unit = _unit(speed.value, SPEED_UNITS)
         why = (
             "its ranges grow where its speed leads towards what it sees: its speed or its sensor is reversed"
             if speed.value < 0
@@ -177,21 +198,21 @@ def with_wheels_checked(log: LandmarkLog, ekf: EkfSlamConfig, cfg: AgreementConf
     return replace(log, odometry=wheels, findings=(*log.findings, *findings)) if findings else log
 
 
-def _check_bearings(log: LandmarkLog, cfg: AgreementConfig) -> None:
+def _check_bearings(log: LandmarkLog) -> None:
     bearings = np.concatenate([log.sightings.bearing, log.bearings.bearing])
-    beyond = float((np.abs(bearings) > cfg.full_turn).mean()) if len(bearings) else 0.0
-    if beyond >= cfg.beyond:
+    beyond = float((np.abs(bearings) > FULL_TURN).mean()) if len(bearings) else 0.0
+    if beyond >= AGREEMENT_BEYOND:
         raise DataError(
             f"{log.source}: {log.robot}: {beyond:.0%} of its bearings are beyond a full turn: expected radians, "
             "found what looks like degrees"
         )
 
 
-def _unit(scale: float, units: Mapping[str, float], cfg: AgreementConfig) -> str | None:
+def _unit(scale: float, units: Mapping[str, float]) -> str | None:
     """The unit of `units` whose factor `scale` is nearest to, whatever its sign, if it is near."""
     missed = {name: abs(float(np.log(max(abs(scale), TINY) / factor))) for name, factor in units.items()}
     best = min(missed, key=missed.__getitem__)
-    return best if missed[best] <= np.log(cfg.near) else None
+    return best if missed[best] <= np.log(AGREEMENT_NEAR) else None
 
 
 def _as(unit: str, scale: float) -> str:
@@ -219,39 +240,14 @@ def _pairs(seen: SightingTable, apart: tuple[int, ...]) -> tuple[Int[np.ndarray,
 
 
 def _commanded(
-    t: Float[np.ndarray, " n"], wheels: Odometry, ekf: EkfSlamConfig, cfg: AgreementConfig
+    t: Float[np.ndarray, " n"], wheels: Odometry, ekf: EkfSlamConfig
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """The angle [rad] and the distance [m] commanded until `t`; absurd rows count as standing."""
     dt = np.append(np.minimum(np.diff(wheels.t), ekf.hold), 0.0)
-    sane = (np.where(np.abs(x) <= cfg.absurd * np.quantile(np.abs(x), 0.9), x, 0.0) for x in (wheels.w, wheels.v))
+    sane = (np.where(np.abs(x) <= AGREEMENT_ABSURD * np.quantile(np.abs(x), 0.9), x, 0.0) for x in (wheels.w, wheels.v))
     sums = (np.append(0.0, np.cumsum(rate * dt)[:-1]) for rate in sane)
     angle, way = (np.interp(t, wheels.t + ekf.lag, total) for total in sums)
     return angle, way
-
-
-@config
-class SiftConfig:
-    """What nearby sightings may differ by, and from how many wrong ones on a log is sifted."""
-
-    window: float = 4.0  # [s] either way, in which sightings of one name are compared
-    turned: float = 1.2  # [rad] commanded between two sightings, from which they are not compared
-    floor: float = 0.15  # [m] by which places may differ,
-    share: float = 0.08  # and as a share of the distance,
-    turn_error: float = 0.25  # of the angle commanded in between, times the distance,
-    drift: float = 0.12  # of the distance commanded in between,
-    moving: float = 0.35  # [m/s] and for another robot, which drives
-    least: int = 3  # others in the window, from which a sighting is judged
-    support: float = 0.5  # share of them that must agree with it
-    enough: int = 2  # that must agree, in a log that is sifted
-    blind_window: float = 0.8  # [s] in place of window where no wheels say how the robot went,
-    blind_turn: float = 0.5  # [rad/s] and how fast it may have turned there,
-    blind_enough: int = 1  # and that must agree there
-    turn_scales: tuple[float, ...] = (0.65, 1.3, 1.6)  # of the expected one, one of which wheels may have instead
-    few: int = 6  # sightings in a row left of a landmark, below which it may be another one that was misread
-    dirty: float = 0.08  # share of the sightings judged that are contradicted, from which the log is sifted,
-    gross: float = 2.5  # or contradicted by so many times the limits, as wrong labels are and noise is not,
-    dirty_gross: float = 0.005  # and that share,
-    blind_dirty: float = 0.0008  # or that one without wheels, where hardly a sighting can be contradicted
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,21 +258,21 @@ class Witnesses:
     agree: Int[np.ndarray, " n"]
     blind: bool = False  # without wheels
 
-    def contradicted(self, cfg: SiftConfig) -> Bool[np.ndarray, " n"]:
+    def contradicted(self) -> Bool[np.ndarray, " n"]:
         """Those that enough others could have borne out, and did not."""
-        return np.asarray((self.of >= cfg.least) & (self.agree < cfg.support * self.of))
+        return np.asarray((self.of >= SIFT_LEAST) & (self.agree < SIFT_SUPPORT * self.of))
 
-    def borne_out(self, cfg: SiftConfig) -> Bool[np.ndarray, " n"]:
+    def borne_out(self) -> Bool[np.ndarray, " n"]:
         """Those that enough others bear out, and no majority contradicts."""
-        enough = cfg.blind_enough if self.blind else cfg.enough
-        return np.asarray((self.agree >= enough) & ~self.contradicted(cfg))
+        enough = BLIND_ENOUGH if self.blind else SIFT_ENOUGH
+        return np.asarray((self.agree >= enough) & ~self.contradicted())
 
-    def contradicted_share(self, cfg: SiftConfig) -> float:
+    def contradicted_share(self) -> float:
         """Of those judged, the share that is contradicted."""
-        return float(self.contradicted(cfg).sum() / max(int((self.of >= cfg.least).sum()), 1))
+        return float(self.contradicted().sum() / max(int((self.of >= SIFT_LEAST).sum()), 1))
 
 
-def sifted(log: LandmarkLog, ekf: EkfSlamConfig, cfg: SiftConfig | None = None) -> LandmarkLog:
+def sifted(log: LandmarkLog, ekf: EkfSlamConfig) -> LandmarkLog:
     """The log without the sightings that its others contradict, where those are many; they are counted and told.
 
     A log with few of them comes back as it is. In one with many, a sighting that hardly another bears out goes too:
@@ -284,21 +280,20 @@ def sifted(log: LandmarkLog, ekf: EkfSlamConfig, cfg: SiftConfig | None = None) 
     name mostly contradicted that lie where another, or a robot, was seen: misreadings of one that was looked at for
     long bear each other out. Where wheels of another turn scale are contradicted less, theirs is taken.
     """
-    cfg = cfg or SiftConfig()
     if not len(log.sightings):
         return log
-    if _clean(log, ekf, cfg):
+    if _clean(log, ekf):
         return log
-    support = witnesses(log.sightings, log.odometry, ekf, cfg)
-    scales = () if log.odometry is None else cfg.turn_scales
+    support = witnesses(log.sightings, log.odometry, ekf)
+    scales = () if log.odometry is None else TURN_SCALES
     for turning in (replace(ekf, turn_scale=scale * ekf.turn_scale) for scale in scales):
-        other = witnesses(log.sightings, log.odometry, turning, cfg)
-        if other.contradicted(cfg).sum() < support.contradicted(cfg).sum():
+        other = witnesses(log.sightings, log.odometry, turning)
+        if other.contradicted().sum() < support.contradicted().sum():
             support, ekf = other, turning
-    if _clean(log, ekf, cfg):
+    if _clean(log, ekf):
         return log
-    keep = support.borne_out(cfg)
-    keep &= ~_misread(log.sightings, keep, log.odometry, ekf, cfg)
+    keep = support.borne_out()
+    keep &= ~_misread(log.sightings, keep, log.odometry, ekf)
     gone = int((~keep).sum())
     found = Finding("sightings-sifted", log.robot, value={"value": gone, "all": len(keep)}, action="left out")
     return replace(
@@ -309,30 +304,30 @@ def sifted(log: LandmarkLog, ekf: EkfSlamConfig, cfg: SiftConfig | None = None) 
     )
 
 
-def _clean(log: LandmarkLog, ekf: EkfSlamConfig, cfg: SiftConfig) -> bool:
+def _clean(log: LandmarkLog, ekf: EkfSlamConfig) -> bool:
     """Whether so few sightings are contradicted that a filter's gates are enough; few grossly, as wrong labels are."""
-    wide = replace(
-        cfg, **{name: cfg.gross * getattr(cfg, name) for name in ("floor", "share", "turn_error", "drift", "moving")}
-    )
-    most = cfg.blind_dirty if log.odometry is None else cfg.dirty_gross
+    most = BLIND_DIRTY if log.odometry is None else DIRTY_GROSS
     return (
-        witnesses(log.sightings, log.odometry, ekf, cfg).contradicted_share(cfg) <= cfg.dirty
-        and witnesses(log.sightings, log.odometry, ekf, wide).contradicted_share(cfg) <= most
+        witnesses(log.sightings, log.odometry, ekf).contradicted_share() <= SIFT_DIRTY
+        and witnesses(log.sightings, log.odometry, ekf, SIFT_GROSS).contradicted_share() <= most
     )
 
 
-def witnesses(seen: SightingTable, wheels: Odometry | None, ekf: EkfSlamConfig, cfg: SiftConfig) -> Witnesses:
-    """Which sightings bear each other out along the path that `wheels` tell, or in moments where there are none."""
-    driven = _Driven.of(seen, wheels, ekf, cfg)
+def witnesses(seen: SightingTable, wheels: Odometry | None, ekf: EkfSlamConfig, by: float = 1.0) -> Witnesses:
+    """Which sightings bear each other out along the path that `wheels` tell, or in moments where there are none.
+
+    by: how many times the usual limits places may differ by.
+    """
+    driven = _Driven.of(seen, wheels, ekf, by)
     of, agree = np.zeros(len(seen), np.int64), np.zeros(len(seen), np.int64)
     for k, name in enumerate(seen.ids):
         rows = np.flatnonzero(seen.what == k)
-        moving = 0.0 if is_landmark(name) else cfg.moving
+        moving = 0.0 if is_landmark(name) else by * SIFT_MOVING
         for apart in range(1, len(rows)):
             a, b = rows[:-apart], rows[apart:]
             if (seen.t[b] - seen.t[a]).min() > driven.window:
                 break
-            compared, fits = driven.compared(a, b, moving, cfg)
+            compared, fits = driven.compared(a, b, moving)
             for end in (a, b):
                 np.add.at(of, end[compared], 1)
                 np.add.at(agree, end[compared & fits], 1)
@@ -340,10 +335,10 @@ def witnesses(seen: SightingTable, wheels: Odometry | None, ekf: EkfSlamConfig, 
 
 
 def _misread(
-    seen: SightingTable, keep: Bool[np.ndarray, " n"], wheels: Odometry | None, ekf: EkfSlamConfig, cfg: SiftConfig
+    seen: SightingTable, keep: Bool[np.ndarray, " n"], wheels: Odometry | None, ekf: EkfSlamConfig
 ) -> Bool[np.ndarray, " n"]:
     """Of names that lose most, the kept sightings that are few in a row and mostly lie where another was seen."""
-    driven = _Driven.of(seen, wheels, ekf, cfg)
+    driven = _Driven.of(seen, wheels, ekf)
     n, kept = (np.bincount(seen.what[rows], minlength=len(seen.ids)) for rows in (np.ones(len(keep), bool), keep))
     stands = np.array([is_landmark(name) for name in seen.ids])
     out = np.zeros(len(seen), bool)
@@ -351,12 +346,12 @@ def _misread(
         mine = np.flatnonzero(keep & (seen.what == k))
         others = np.flatnonzero(keep & (seen.what != k))
         for row in np.split(mine, np.flatnonzero(np.diff(seen.t[mine]) > driven.window) + 1):
-            if len(row) >= cfg.few:
+            if len(row) >= SIFT_FEW:
                 continue
             a, b = np.repeat(row, len(others)), np.tile(others, len(row))
-            moving = np.where(stands[seen.what[b]], 0.0, cfg.moving)
-            compared, fits = driven.compared(a, b, moving, cfg)
-            elsewhere = np.bincount(a[compared & fits], minlength=len(seen))[row] >= cfg.enough
+            moving = np.where(stands[seen.what[b]], 0.0, SIFT_MOVING)
+            compared, fits = driven.compared(a, b, moving)
+            elsewhere = np.bincount(a[compared & fits], minlength=len(seen))[row] >= SIFT_ENOUGH
             out[row] = 2 * elsewhere.sum() > len(row)
     return out
 
@@ -365,7 +360,8 @@ def _misread(
 class _Driven:
     """Sightings carried into one frame by the wheels: place [m]; distance [m] and angle [rad] driven until then.
 
-    window: [s] in which they are compared; turning, going: [rad/s] and [m/s] at which the robot may have moved besides.
+    window: [s] in which they are compared; turning, going: [rad/s] and [m/s] at which the robot may have moved besides;
+    by: how many times the usual limits places may differ by.
     """
 
     t: Float[np.ndarray, " n"]
@@ -376,32 +372,33 @@ class _Driven:
     window: float
     turning: float = 0.0
     going: float = 0.0
+    by: float = 1.0
 
     @classmethod
-    def of(cls, seen: SightingTable, wheels: Odometry | None, ekf: EkfSlamConfig, cfg: SiftConfig) -> "_Driven":
+    def of(cls, seen: SightingTable, wheels: Odometry | None, ekf: EkfSlamConfig, by: float = 1.0) -> "_Driven":
         if wheels is None:
             still = np.zeros(len(seen))
             ahead = seen.range[:, None] * np.stack([np.cos(seen.bearing), np.sin(seen.bearing)], axis=-1)
-            return cls(seen.t, seen.range, ahead, still, still, cfg.blind_window, cfg.blind_turn, cfg.moving)
+            return cls(seen.t, seen.range, ahead, still, still, BLIND_WINDOW, BLIND_TURN, by * SIFT_MOVING, by)
         pose, way, angle = _driven(seen.t, wheels, ekf)
         bearing = pose[:, 2] + seen.bearing
         place = pose[:, :2] + seen.range[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
-        return cls(seen.t, seen.range, place, way, angle, cfg.window)
+        return cls(seen.t, seen.range, place, way, angle, SIFT_WINDOW, by=by)
 
     def compared(
         self,
         a: Int[np.ndarray, " p"],
         b: Int[np.ndarray, " p"],
         moving: float | Float[np.ndarray, " p"],
-        cfg: SiftConfig,
     ) -> tuple[Bool[np.ndarray, " p"], Bool[np.ndarray, " p"]]:
         """Which pairs of rows are near enough in time to be compared, and which of all lie at one place."""
         dt, angle = np.abs(self.t[b] - self.t[a]), np.abs(self.angle[b] - self.angle[a])
         r = np.minimum(self.range[a], self.range[b])
-        most = cfg.floor + (cfg.share + cfg.turn_error * angle) * r
-        most += cfg.drift * np.abs(self.way[b] - self.way[a]) + (moving + self.going + self.turning * r) * dt
+        by = self.by
+        most = by * SIFT_FLOOR + (by * SIFT_SHARE + by * TURN_ERROR * angle) * r
+        most += by * SIFT_DRIFT * np.abs(self.way[b] - self.way[a]) + (moving + self.going + self.turning * r) * dt
         fits = np.hypot(*(self.place[a] - self.place[b]).T) <= most
-        return (dt <= self.window) & (angle <= cfg.turned), fits
+        return (dt <= self.window) & (angle <= SIFT_TURNED), fits
 
 
 def _driven(

@@ -7,6 +7,26 @@ from ..core.config import config
 from ..core.errors import ConfigError
 from ..kernels.landmarks.ekf_state import Noise
 
+LOST_XY = 0.06  # [m / sqrt(s)] while no command is known
+LOST_THETA = 0.3  # [rad / sqrt(s)] of heading, while no command is known
+SPEED_TIME = 30.0  # [s] it keeps its speed
+EKF_SLAM_SPIN = 0.35  # [rad/s] standard deviation of its turn rate
+SPIN_TIME = 2.0  # [s] it keeps its turn rate
+EKF_SLAM_WANDER = 0.005  # [m / sqrt(s)] and [rad / sqrt(s)] it wanders beside its speed and spin
+PIECE_OLDER = 0.2  # share of new rows in the last piece, from which an intermediate map is made anew
+PIECE_SIGHTINGS = 5  # of a landmark in a piece, before it helps to tie it
+PIECE_FLOOR = 0.005  # [m] a piece is never surer of a landmark than this
+PIECE_BASELINE = 0.5  # [m] between the landmarks that tie a piece when there are only two
+PIECE_MISFIT = 1.0  # [m] root mean square of a rigid fit from which a piece is not even tried
+PIECE_CHI2 = 9.0  # a degree of freedom, up to which a piece fits the others
+EKF_SLAM_ASTRAY = 0.1  # [m/s] how fast a robot gets away from where it was while nothing is known of it
+# what is left out of a finished map, and what is warned of
+RESTLESS_SIGHTINGS = 20  # from which a landmark that keeps contradicting itself is left out
+RESTLESS_SHARE = 0.5  # of its sightings down-weighted, from which it does
+RESTLESS_MOST = 5  # landmarks left out so, one after the other: one that moves makes others look restless
+WARN_DOWN_WEIGHTED = 0.3  # share of all sightings
+WARN_NIS = 3.0  # median normalised innovation squared; 1.4 is expected
+
 
 @config
 class EkfSlamConfig:
@@ -27,24 +47,11 @@ class EkfSlamConfig:
     noise_turn: float = 0.1  # [rad / sqrt(rad)] heading over angle commanded
     rest_xy: float = 1e-4  # [m / sqrt(s)] always
     rest_theta: float = 1e-4  # [rad / sqrt(s)] always
-    lost_xy: float = 0.06  # [m / sqrt(s)] while no command is known
-    lost_theta: float = 0.3  # [rad / sqrt(s)] of heading, while no command is known
     hold: float = 2.0  # [s] a command holds without a new one
     # a robot without odometry: its speed and turn rate wander about zero
     speed: float = 0.08  # [m/s] standard deviation of its speed
-    speed_time: float = 30.0  # [s] it keeps its speed
-    spin: float = 0.35  # [rad/s] standard deviation of its turn rate
-    spin_time: float = 2.0  # [s] it keeps its turn rate
-    wander: float = 0.005  # [m / sqrt(s)] and [rad / sqrt(s)] it wanders beside its speed and spin
-    piece_older: float = 0.2  # share of new rows in the last piece, from which an intermediate map is made anew
     piece_gap: float = 5.0  # [s] without a sighting after which a new piece of map is begun
     piece_heading: float = 0.9  # [rad] standard deviation of the heading from which one is begun too
-    piece_sightings: int = 5  # of a landmark in a piece, before it helps to tie it
-    piece_floor: float = 0.005  # [m] a piece is never surer of a landmark than this
-    piece_baseline: float = 0.5  # [m] between the landmarks that tie a piece when there are only two
-    piece_misfit: float = 1.0  # [m] root mean square of a rigid fit from which a piece is not even tried
-    piece_chi2: float = 9.0  # a degree of freedom, up to which a piece fits the others
-    astray: float = 0.1  # [m/s] how fast a robot gets away from where it was while nothing is known of it
     # the camera
     range_floor: float = 0.05  # [m] standard deviation of a range at no distance
     range_share: float = 0.045  # of the predicted distance
@@ -56,12 +63,6 @@ class EkfSlamConfig:
     gate: float = 2.0  # normalised innovation from which a sighting counts less, never nothing
     far: float = 10.0  # normalised innovation from which it counts less by the square: a label misread
     agree: int = 3  # sightings of a new landmark that must agree on its place
-    # what is left out of a finished map, and what is warned of
-    restless_sightings: int = 20  # from which a landmark that keeps contradicting itself is left out
-    restless_share: float = 0.5  # of its sightings down-weighted, from which it does
-    restless_most: int = 5  # landmarks left out so, one after the other: one that moves makes others look restless
-    warn_down_weighted: float = 0.3  # share of all sightings
-    warn_nis: float = 3.0  # median normalised innovation squared; 1.4 is expected
     # rows beyond are broken and left out
     most_speed: float = 1e3  # [m/s] beyond which a command is no command
     most_turn: float = 1e3  # [rad/s] the same of turn rates
@@ -92,7 +93,7 @@ def calibration_prior(cfg: EkfSlamConfig) -> tuple[Float[np.ndarray, "5"], Float
     Without odometry the first two are speed and turn rate themselves, and the sensor is taken as it is.
     """
     if not cfg.odometry:
-        return np.array([0.0, 0.0, 0.0, 0.0, 1.0]), np.array([cfg.speed, cfg.spin, 0.0, 0.0, 0.0])
+        return np.array([0.0, 0.0, 0.0, 0.0, 1.0]), np.array([cfg.speed, EKF_SLAM_SPIN, 0.0, 0.0, 0.0])
     mean = np.array([cfg.speed_scale, cfg.turn_scale, cfg.lag, cfg.bearing_bias, cfg.range_scale])
     sd = np.array([cfg.speed_scale_sd, cfg.turn_scale_sd, cfg.lag_sd, cfg.bearing_bias_sd, cfg.range_scale_sd])
     return mean, sd
@@ -103,8 +104,8 @@ def noise(cfg: EkfSlamConfig) -> Noise:
     camera = (cfg.range_floor, cfg.range_share, cfg.bearing, cfg.range_inflation, cfg.bearing_inflation)
     return Noise(
         cfg.noise_along, cfg.noise_across, cfg.noise_drift, cfg.noise_turn, cfg.rest_xy, cfg.rest_theta,
-        cfg.lost_xy if known else cfg.wander, cfg.lost_theta if known else cfg.wander,
-        cfg.hold, 0.0 if known else cfg.speed, cfg.speed_time, cfg.spin, cfg.spin_time,
+        LOST_XY if known else EKF_SLAM_WANDER, LOST_THETA if known else EKF_SLAM_WANDER,
+        cfg.hold, 0.0 if known else cfg.speed, SPEED_TIME, EKF_SLAM_SPIN, SPIN_TIME,
         *camera, cfg.gate, cfg.far, cfg.agree,
     )  # fmt: skip
 

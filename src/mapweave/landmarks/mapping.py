@@ -15,7 +15,15 @@ from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.records import Odometry, Track
 from ..kernels.landmarks.ekf_state import HEAD, POSE, RANGE_SCALE
 from . import ekf_slam
-from .config import EkfSlamConfig
+from .config import (
+    PIECE_OLDER,
+    RESTLESS_MOST,
+    RESTLESS_SHARE,
+    RESTLESS_SIGHTINGS,
+    WARN_DOWN_WEIGHTED,
+    WARN_NIS,
+    EkfSlamConfig,
+)
 from .ekf_replay import ReplayedLog, replay
 from .landmark_map import LocalMap, RobotSightings
 from .without_odometry import Known, parts, replay_in_pieces
@@ -46,8 +54,8 @@ def map_of(
     first = done = replay(log, cfg, times=times) if cfg.odometry else replay_in_pieces(log, cfg, known)
     dropped, findings, kept = dict(log.dropped), list(log.findings), log
     left_out: list[str] = []
-    for _ in range(cfg.restless_most):
-        name = _restless(done.seen, done.weight, cfg)
+    for _ in range(RESTLESS_MOST):
+        name = _restless(done.seen, done.weight)
         if name is None:
             break
         gone = kept.sightings.counts()[name]
@@ -99,21 +107,19 @@ def without_impossible(log: LandmarkLog, cfg: EkfSlamConfig) -> LandmarkLog:
     )
 
 
-def _restless(seen: SightingTable, weights: Float[np.ndarray, " n"], cfg: EkfSlamConfig) -> str | None:
+def _restless(seen: SightingTable, weights: Float[np.ndarray, " n"]) -> str | None:
     """The landmark with the largest share of its sightings down-weighted, if that is most of them."""
     judged = np.isfinite(weights)
     n = len(seen.ids)
     down = np.bincount(seen.what[judged & (weights < 1.0)], minlength=n)
-    return restless(seen.ids, np.bincount(seen.what[judged], minlength=n), down, cfg)
+    return restless(seen.ids, np.bincount(seen.what[judged], minlength=n), down)
 
 
-def restless(
-    ids: Sequence[str], judged: Int[np.ndarray, " k"], down: Int[np.ndarray, " k"], cfg: EkfSlamConfig
-) -> str | None:
+def restless(ids: Sequence[str], judged: Int[np.ndarray, " k"], down: Int[np.ndarray, " k"]) -> str | None:
     """The one of `ids` of whose `judged` sightings the largest share is down-weighted, if that is most of them."""
-    worst, name = cfg.restless_share, None
+    worst, name = RESTLESS_SHARE, None
     for k, other in enumerate(ids):
-        share = float(down[k] / judged[k]) if judged[k] and judged[k] >= cfg.restless_sightings else 0.0
+        share = float(down[k] / judged[k]) if judged[k] and judged[k] >= RESTLESS_SIGHTINGS else 0.0
         if share > worst:
             worst, name = share, other
     return name
@@ -130,9 +136,9 @@ def _result(
     judged = np.isfinite(done.nis)
     nis_median = float(np.median(done.nis[judged])) if judged.any() else None
     down = int((done.weight[judged] < 1.0).sum())
-    if judged.any() and down > cfg.warn_down_weighted * judged.sum():
+    if judged.any() and down > WARN_DOWN_WEIGHTED * judged.sum():
         findings.append(Finding("sightings-doubted", log.robot, value={"value": down, "all": int(judged.sum())}))
-    if nis_median is not None and nis_median > cfg.warn_nis:
+    if nis_median is not None and nis_median > WARN_NIS:
         findings.append(Finding("sightings-inconsistent", log.robot, value=nis_median))
     return LocalMap(
         robot=log.robot,
@@ -189,13 +195,11 @@ def grow(log: LandmarkLog, cfg: EkfSlamConfig, times: Sequence[float], *, tracks
     cfg = config_for(log, cfg)
     log = without_impossible(log, cfg)
     if cfg.odometry:
-        return Growth(whole, tuple(times), tuple(_on_the_way(log, first, cfg, tracks=tracks)), first.filtered)
+        return Growth(whole, tuple(times), tuple(_on_the_way(log, first, tracks=tracks)), first.filtered)
     return Growth(whole, tuple(times), tuple(_by_pieces(log, cfg, times)), first.filtered)
 
 
-def _on_the_way(
-    log: LandmarkLog, played: ReplayedLog, cfg: EkfSlamConfig, *, tracks: bool
-) -> Iterator[LocalMap | None]:
+def _on_the_way(log: LandmarkLog, played: ReplayedLog, *, tracks: bool) -> Iterator[LocalMap | None]:
     seen, track = log.sightings, played.filtered
     judged, down, counts = (np.zeros(len(seen.ids), np.int64) for _ in range(3))
     robots = robot_sightings(log)
@@ -211,7 +215,7 @@ def _on_the_way(
         if taken.state is None:
             yield None
             continue
-        submap, moving = taken.state.submap, restless(seen.ids, judged, down, cfg)
+        submap, moving = taken.state.submap, restless(seen.ids, judged, down)
         if moving in submap.ids:
             keep = np.array([name != moving for name in submap.ids])
             rows = np.concatenate([[True] * POSE, np.repeat(keep, 2)])
@@ -245,7 +249,7 @@ def _by_pieces(log: LandmarkLog, cfg: EkfSlamConfig, times: Sequence[float]) -> 
     for t in times:
         cut = log.until(t)
         now = parts(cut.sightings, cfg.piece_gap)
-        if now and (len(now) > pieces or len(now[-1]) >= (1 + cfg.piece_older) * rows):
+        if now and (len(now) > pieces or len(now[-1]) >= (1 + PIECE_OLDER) * rows):
             m, _ = map_of(cut, cfg, known=known)
             last = m if len(m.submap.ids) else None
             rows, pieces = len(now[-1]), len(now)

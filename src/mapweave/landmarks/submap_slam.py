@@ -14,6 +14,10 @@ from ..kernels.landmarks import submap as kernels
 from .association import Assignment, certain, jcbb, nearest_neighbour
 from .landmark_map import Submap
 
+NEW_GATE = 25.0  # D^2 from every landmark beyond which an observation starts a new one
+SUBMAP_HIDDEN = 1e-6  # [1/m^2] new landmarks expected inside the gate of a known one
+SUBMAP_LINEAR = 5.0  # deviations from the robot within which a landmark is too near for range and bearing
+
 
 @config
 class SubmapConfig:
@@ -27,10 +31,7 @@ class SubmapConfig:
     half_angle: float = np.pi / 2  # [rad] its view to either side
     association: str = "jcbb"  # known | nn | jcbb
     gate: float = 13.82  # D^2 of a match, 0.999 of chi-square with 2 degrees of freedom
-    new_gate: float = 25.0  # D^2 from every landmark beyond which an observation starts a new one
     sure: float = 0.95  # probability below which a match is not used
-    hidden: float = 1e-6  # [1/m^2] new landmarks expected inside the gate of a known one
-    linear: float = 5.0  # deviations from the robot within which a landmark is too near for range and bearing
 
     @property
     def Q(self) -> np.ndarray:
@@ -140,15 +141,15 @@ def _associate(m: Submap, seen: Observations, cfg: SubmapConfig) -> Assignment:
     zhat = predicted_observation(m.pose, m.mean)
     S = kernels.innovation(m.pose, m.mean, m.cov, np.arange(len(m.ids)))[1]
     rule = nearest_neighbour if cfg.association == "nn" else jcbb
-    assignment = rule(seen.z, zhat, S, cfg.R, cfg.gate, cfg.new_gate, wrap_columns=(1,))
-    around = cfg.hidden * np.maximum(seen.z[:, 0], cfg.range_sd)
-    return certain(assignment, seen.z, zhat, S, cfg.R, cfg.gate, cfg.new_gate, (1,), around, cfg.sure)
+    assignment = rule(seen.z, zhat, S, cfg.R, cfg.gate, NEW_GATE, wrap_columns=(1,))
+    around = SUBMAP_HIDDEN * np.maximum(seen.z[:, 0], cfg.range_sd)
+    return certain(assignment, seen.z, zhat, S, cfg.R, cfg.gate, NEW_GATE, (1,), around, cfg.sure)
 
 
 def _correct(m: Submap, index: np.ndarray, z: np.ndarray, cfg: SubmapConfig) -> Submap:
     """One update with all sightings, [Yuan09] eq. 9-11; those too near to be linear come after, as places."""
     pose, mean, P = m.pose, m.mean, m.cov
-    near = kernels.too_near(pose, mean, P, index, cfg.linear, cfg.R)
+    near = kernels.too_near(pose, mean, P, index, SUBMAP_LINEAR, cfg.R)
     if not near.all():
         pose, mean, P = kernels.corrected(pose, mean, P, index[~near], z[~near], cfg.R)
     for k in np.flatnonzero(near):

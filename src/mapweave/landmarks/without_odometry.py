@@ -11,7 +11,15 @@ from ..core.findings import Finding
 from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.records import Track
 from ..solve import gauss_newton, wrapping
-from .config import EkfSlamConfig
+from .config import (
+    EKF_SLAM_ASTRAY,
+    PIECE_BASELINE,
+    PIECE_CHI2,
+    PIECE_FLOOR,
+    PIECE_MISFIT,
+    PIECE_SIGHTINGS,
+    EkfSlamConfig,
+)
 from .ekf_replay import ReplayedLog, replay
 from .ekf_slam import is_landmark
 from .landmark_map import LandmarkMap, Submap
@@ -45,32 +53,32 @@ class JoinedPieces:
         return self.cov[first:, first:]
 
 
-def join_pieces(pieces: Sequence[LandmarkMap], cfg: EkfSlamConfig) -> JoinedPieces:
+def join_pieces(pieces: Sequence[LandmarkMap]) -> JoinedPieces:
     """The largest map the pieces give; a piece that fits the others badly, or shares too little, is left out.
 
     A large piece that is wrong itself would push out all that are right: when pieces had to go, it is tried to do
     without one of the largest instead, and what ties most landmarks, then most pieces, is taken.
     """
-    best = _tie(pieces, set(), cfg)
+    best = _tie(pieces, set())
     if any(len(set(piece.ids) & set(best.ids)) > 2 for k, piece in enumerate(pieces) if k not in best.frames):
         large = sorted(range(len(pieces)), key=lambda k: (-len(pieces[k]), k))[:SUSPECTS]
-        best = max([best, *(_tie(pieces, {k}, cfg) for k in large)], key=lambda tied: (len(tied.ids), len(tied.frames)))
+        best = max([best, *(_tie(pieces, {k}) for k in large)], key=lambda tied: (len(tied.ids), len(tied.frames)))
     return best
 
 
-def _tie(pieces: Sequence[LandmarkMap], without: set[int], cfg: EkfSlamConfig) -> JoinedPieces:
+def _tie(pieces: Sequence[LandmarkMap], without: set[int]) -> JoinedPieces:
     """The map of all pieces but those in `without` and those that fit the others badly."""
     left_out = set(without)
     while True:
-        frames, root, places = _start(pieces, left_out, cfg)
-        tied, worst, misfit = _adjust(pieces, frames, root, places, cfg)
-        if misfit <= cfg.piece_chi2 or len(frames) == 1:
+        frames, root, places = _start(pieces, left_out)
+        tied, worst, misfit = _adjust(pieces, frames, root, places)
+        if misfit <= PIECE_CHI2 or len(frames) == 1:
             return tied
         left_out.add(worst)
 
 
 def _start(
-    pieces: Sequence[LandmarkMap], left_out: set[int], cfg: EkfSlamConfig
+    pieces: Sequence[LandmarkMap], left_out: set[int]
 ) -> tuple[dict[int, np.ndarray], int, dict[str, list[np.ndarray]]]:
     """Rigid fits, the piece with most landmarks first, then whichever shares most with those tied already."""
     free = [k for k in range(len(pieces)) if k not in left_out]
@@ -86,10 +94,10 @@ def _start(
         waiting.remove(k)
         here = pieces[k].select(shared[k]).mean
         there = np.array([np.mean(places[name], axis=0) for name in shared[k]])
-        if len(here) == 2 and np.hypot(*(there[1] - there[0])) < cfg.piece_baseline:
+        if len(here) == 2 and np.hypot(*(there[1] - there[0])) < PIECE_BASELINE:
             continue
         T = se2.align(here, there)
-        if np.sqrt(((se2.act(T, here) - there) ** 2).sum(axis=1).mean()) > cfg.piece_misfit:
+        if np.sqrt(((se2.act(T, here) - there) ** 2).sum(axis=1).mean()) > PIECE_MISFIT:
             continue
         frames[k] = T
         for name, p in zip(pieces[k].ids, se2.act(T, pieces[k].mean), strict=True):
@@ -102,7 +110,6 @@ def _adjust(
     frames: dict[int, np.ndarray],
     root: int,
     places: dict[str, list[np.ndarray]],
-    cfg: EkfSlamConfig,
 ) -> tuple[JoinedPieces, int, float]:
     """Gauss-Newton over frames and landmarks; the tied map, the piece that fits worst and its chi-square per dof.
 
@@ -114,7 +121,7 @@ def _adjust(
     first = 3 * len(order)
     size = first + 2 * len(ids)
     points = [first + 2 * np.array([where[name] for name in pieces[k].ids]) for k in order]
-    weights = [np.linalg.inv(pieces[k].cov + cfg.piece_floor**2 * np.eye(2 * len(pieces[k]))) for k in order]
+    weights = [np.linalg.inv(pieces[k].cov + PIECE_FLOOR**2 * np.eye(2 * len(pieces[k]))) for k in order]
     misfits = np.zeros(len(order))
 
     def normal(x: Float[np.ndarray, " n"]) -> tuple[np.ndarray, np.ndarray, float]:
@@ -169,17 +176,17 @@ def replay_in_pieces(log: LandmarkLog, cfg: EkfSlamConfig, known: Known | None =
     played now are added.
     """
     played = _play_parts(log, cfg, {} if known is None else known)
-    maps = [_piece(done, cfg.piece_sightings) for done in played]
+    maps = [_piece(done, PIECE_SIGHTINGS) for done in played]
     able = [k for k, m in enumerate(maps) if len(m) >= 2]
     if len(played) <= 1 or not able:
         return played[0] if played else replay(log, cfg)
-    tied = join_pieces([maps[k] for k in able], cfg)
+    tied = join_pieces([maps[k] for k in able])
     where = {able[k]: k for k in tied.frames}  # part -> piece, for the parts tied
     first = min(where)
     T_local_root = se2.inverse(tied.frames[where[first]])
     frame = played[0].submap.frame
     landmarks = LandmarkMap(tied.ids, tied.mean, tied.landmark_cov).moved(T_local_root, frame)
-    track = _track(played, tied, where, T_local_root, cfg.astray)
+    track = _track(played, tied, where, T_local_root, EKF_SLAM_ASTRAY)
     findings: tuple[Finding, ...] = ()
     if len(where) < len(played):
         apart = {"value": len(played) - len(where), "all": len(played)}

@@ -18,6 +18,23 @@ from ..core.config import config
 from ..core.records import Scan, frozen
 from ..kernels.laser.beams import beam_lines
 
+LINE_ANGLE = 0.1  # [rad] beams to each side this near may share a line (8 of a URG-04LX, 6 of a SICK)
+BEAM_NEAR = 0.08  # [m] at no range, and
+BEAM_NEAR_SHARE = 0.15  # [m/m]: neighbours differ in range by less than near + near_share r
+BEAM_LEAST_COSINE = 0.15  # of incidence that is reckoned with: what grazes a wall more counts as this
+GREATEST_Q = 1.2  # normalised intensities are cut off here
+
+CALIBRATION_WINDOW = 12  # scans laid together
+CALIBRATION_CELL = 0.1  # [m] in which surfaces are taken for one
+CALIBRATION_KNOT = 0.4  # [m] between the knots of g
+CALIBRATION_SMOOTH = 10.0  # weight of second differences of g
+CALIBRATION_CAUCHY = 0.1  # [log units] width of the robust weight
+CALIBRATION_LEAST_COSINE = 0.15  # of incidence that is reckoned with: what grazes a wall more counts as this
+MOST_WINDOWS = 150  # of scans that are used
+CALIBRATION_TOP = 0.9  # the q given to the 95th percentile
+LEAST_SAMPLES = 500  # returns, or there is no calibration
+MOST_RESIDUAL = 0.35  # [log units] beyond this the intensity does not follow the model
+
 WHOLE = 50.0  # [1/m^2] along its wall: 60 returns then tell a decimetre e^15 to 1, and light counts as set
 NO_LIGHT = 65535.0  # what scanners of 16 bits send where they measured no light
 
@@ -79,11 +96,6 @@ class BeamConfig:
     least_range: float = 0.02  # [m], nearer returns are the robot itself
     greatest_range: float = 25.0  # [m], farther returns are left out, whatever the sensor allows
     least_intensity: float = 0.0  # returns at or under this bear no light
-    line_angle: float = 0.1  # [rad] beams to each side this near may share a line (8 of a URG-04LX, 6 of a SICK)
-    near: float = 0.08  # [m] at no range, and
-    near_share: float = 0.15  # [m/m]: neighbours differ in range by less than near + near_share r
-    least_cosine: float = 0.15  # of incidence that is reckoned with: what grazes a wall more counts as this
-    greatest_q: float = 1.2  # normalised intensities are cut off here
 
 
 class Beams(NamedTuple):
@@ -121,8 +133,8 @@ def beams(scan: Scan, feature: str, calibration: IntensityCalibration | None, cf
     r = np.where(hit, r, 1.0)
     angle = scan.angle_min + scan.angle_increment * np.arange(n)
     x, y = r * np.cos(angle), r * np.sin(angle)
-    half = max(2, round(cfg.line_angle / max(abs(scan.angle_increment), 1e-6)))
-    normal, c, support = beam_lines(x, y, r, hit, half, cfg.near, cfg.near_share)
+    half = max(2, round(LINE_ANGLE / max(abs(scan.angle_increment), 1e-6)))
+    normal, c, support = beam_lines(x, y, r, hit, half, BEAM_NEAR, BEAM_NEAR_SHARE)
     index = np.flatnonzero(hit)
     r, c, intensity = r[index], c[index], intensity[index]
     q = _feature(intensity, r, c, feature, calibration, cfg)
@@ -148,8 +160,8 @@ def _feature(
     if feature == "none" or calibration is None:
         return np.zeros(len(r))
     if feature == "raw":
-        return np.minimum(cfg.greatest_q, intensity / calibration.scale)
-    q = np.minimum(cfg.greatest_q, calibration.feature(intensity, r, np.maximum(c, cfg.least_cosine)))
+        return np.minimum(GREATEST_Q, intensity / calibration.scale)
+    q = np.minimum(GREATEST_Q, calibration.feature(intensity, r, np.maximum(c, BEAM_LEAST_COSINE)))
     return np.where(measured(intensity, cfg), q, calibration.middle)
 
 
@@ -160,17 +172,7 @@ def measured(intensity: Float[np.ndarray, " n"], cfg: BeamConfig) -> Bool[np.nda
 
 @config
 class CalibrationConfig:
-    window: int = 12  # scans laid together
-    cell: float = 0.1  # [m] in which surfaces are taken for one
-    knot: float = 0.4  # [m] between the knots of g
-    smooth: float = 10.0  # weight of second differences of g
-    cauchy: float = 0.1  # [log units] width of the robust weight
     iterations: int = 12  # of the robust fit, at most
-    least_cosine: float = 0.15  # of incidence that is reckoned with: what grazes a wall more counts as this
-    most_windows: int = 150  # of scans that are used
-    top: float = 0.9  # the q given to the 95th percentile
-    least_samples: int = 500  # returns, or there is no calibration
-    most_residual: float = 0.35  # [log units] beyond this the intensity does not follow the model
 
 
 FREE_KNOT = 0.1  # of log range between the knots of a law without a form,
@@ -216,18 +218,18 @@ def calibrate(
 
 def calibrated(scans: Sequence[Beams], poses: Float[np.ndarray, "m 3"], cfg: CalibrationConfig) -> Calibrated | None:
     """As `calibrate`, and calibrations of halves of the windows, those with even numbers first, or None."""
-    seen = _samples(scans, poses, cfg)
-    if len(seen.r) < cfg.least_samples:
+    seen = _samples(scans, poses)
+    if len(seen.r) < LEAST_SAMPLES:
         return None
     halves = _halves(seen)
     if not min(len(half.r) for half in halves):
-        whole = _scaled(seen, cfg, _fitted(seen, cfg, free=False))
+        whole = _scaled(seen, _fitted(seen, cfg, free=False))
         return Calibrated(whole, (whole, whole))
     quick = replace(cfg, iterations=HALF_ITERATIONS)
     formed, free = ([_fitted(half, quick, free=free) for half in halves] for free in (False, True))
     chosen = free if _held_out(halves, formed) > FORM_COSTS * _held_out(halves, free) else formed
-    whole = _scaled(seen, cfg, _fitted(seen, cfg, free=chosen is free))
-    first, second = (_scaled(half, cfg, fit) for half, fit in zip(halves, chosen, strict=True))
+    whole = _scaled(seen, _fitted(seen, cfg, free=chosen is free))
+    first, second = (_scaled(half, fit) for half, fit in zip(halves, chosen, strict=True))
     return Calibrated(whole, (first, second))
 
 
@@ -243,13 +245,13 @@ def _halves(seen: Overlaps) -> tuple[Overlaps, Overlaps]:
 LawFit = tuple[IntensityCalibration, Float[np.ndarray, " _"]]  # a law with scale 1 and the size of its residuals
 
 
-def _scaled(seen: Overlaps, cfg: CalibrationConfig, fit: LawFit) -> IntensityCalibration:
+def _scaled(seen: Overlaps, fit: LawFit) -> IntensityCalibration:
     law, size = fit
     K = len(law.knots)
     at = np.searchsorted(0.5 * (law.knots[1:] + law.knots[:-1]), seen.r)
     by_range = np.array([np.median(size[at == k]) if (at == k).any() else np.nan for k in range(K)])
     expected = law.gain(seen.r) * law.incidence(seen.c)
-    scale = float(np.quantile(seen.light / expected, 0.95)) / cfg.top
+    scale = float(np.quantile(seen.light / expected, 0.95)) / CALIBRATION_TOP
     return replace(
         law,
         scale=scale,
@@ -278,8 +280,8 @@ def _fitted(seen: Overlaps, cfg: CalibrationConfig, *, free: bool) -> LawFit:
         knots = np.exp(first + FREE_KNOT * np.arange(K))
         X = np.column_stack([_hats(seen.r, knots), _hats(seen.c, FREE_COSINES)])
     else:
-        K = int(np.ceil(seen.r.max() / cfg.knot)) + 1
-        knots = cfg.knot * np.arange(K)
+        K = int(np.ceil(seen.r.max() / CALIBRATION_KNOT)) + 1
+        knots = CALIBRATION_KNOT * np.arange(K)
         X = np.column_stack([_hats(seen.r, knots), np.log(seen.c)])
     n = X.shape[1]
     ridge = 1e-3 * np.eye(n)
@@ -287,7 +289,7 @@ def _fitted(seen: Overlaps, cfg: CalibrationConfig, *, free: bool) -> LawFit:
         if size >= 3:
             second = np.diff(np.eye(size), 2, axis=0)
             part = slice(first_row, first_row + size)
-            ridge[part, part] += (FREE_SMOOTH if free else cfg.smooth) * second.T @ second
+            ridge[part, part] += (FREE_SMOOTH if free else CALIBRATION_SMOOTH) * second.T @ second
     weight = np.ones(len(y))
     x, residual = np.zeros(n), y
     groups = int(seen.cell.max()) + 1
@@ -296,7 +298,7 @@ def _fitted(seen: Overlaps, cfg: CalibrationConfig, *, free: bool) -> LawFit:
         A = (Xc * weight[:, None]).T @ Xc
         x = np.linalg.solve(A + ridge, (Xc * weight[:, None]).T @ yc)
         residual = yc - Xc @ x
-        weight = 1.0 / (1.0 + (residual / cfg.cauchy) ** 2)
+        weight = 1.0 / (1.0 + (residual / CALIBRATION_CAUCHY) ** 2)
     gain = x[:K] - np.interp(1.0, knots, x[:K])
     incidence = (FREE_COSINES, x[K:] - x[-1]) if free else (np.zeros(0), np.zeros(0))
     exponent = float(np.polyfit(np.log(FREE_COSINES), x[K:], 1)[0]) if free else float(x[K])
@@ -311,15 +313,15 @@ def raw_scale(scans: Sequence[Beams]) -> IntensityCalibration:
     return IntensityCalibration(np.array([0.0, 1.0]), np.zeros(2), 0.0, max(top, 1e-9), 0.0, len(light), np.zeros(2))
 
 
-def _samples(scans: Sequence[Beams], poses: Float[np.ndarray, "m 3"], cfg: CalibrationConfig) -> Overlaps:
+def _samples(scans: Sequence[Beams], poses: Float[np.ndarray, "m 3"]) -> Overlaps:
     """Every return with light in a cell that more than one scan of a window hit."""
-    starts = np.arange(0, len(scans), cfg.window)
-    if len(starts) > cfg.most_windows:
-        starts = starts[np.linspace(0, len(starts) - 1, cfg.most_windows).astype(int)]
+    starts = np.arange(0, len(scans), CALIBRATION_WINDOW)
+    if len(starts) > MOST_WINDOWS:
+        starts = starts[np.linspace(0, len(starts) - 1, MOST_WINDOWS).astype(int)]
     parts: list[Overlaps] = []
     count = 0
     for start in starts.tolist():
-        part = range(start, min(start + cfg.window, len(scans)))
+        part = range(start, min(start + CALIBRATION_WINDOW, len(scans)))
         points = np.concatenate([se2.act(poses[k], scans[k].s) for k in part])
         who = np.concatenate([np.full(len(scans[k].r), k) for k in part])
         r, light, support = (
@@ -328,15 +330,15 @@ def _samples(scans: Sequence[Beams], poses: Float[np.ndarray, "m 3"], cfg: Calib
         keep = (support >= 3) & (light > 0) & (light != NO_LIGHT)
         if not keep.any():
             continue
-        ij = np.floor(points[keep] / cfg.cell).astype(np.int64)
+        ij = np.floor(points[keep] / CALIBRATION_CELL).astype(np.int64)
         ij -= ij.min(axis=0)
         _, number = np.unique(ij[:, 0] * (int(ij[:, 1].max()) + 1) + ij[:, 1], return_inverse=True)
         first, last = np.full(number.max() + 1, 1 << 60), np.full(number.max() + 1, -1)
         np.minimum.at(first, number, who[keep])
         np.maximum.at(last, number, who[keep])
         twice = (last > first)[number]
-        cosine = np.maximum(_settled_cosine(scans, poses, part, number, keep)[twice], cfg.least_cosine)
-        window = np.full(int(twice.sum()), start // cfg.window)
+        cosine = np.maximum(_settled_cosine(scans, poses, part, number, keep)[twice], CALIBRATION_LEAST_COSINE)
+        window = np.full(int(twice.sum()), start // CALIBRATION_WINDOW)
         parts.append(Overlaps(number[twice] + count, r[keep][twice], cosine, light[keep][twice], window))
         count += int(number.max()) + 1
     if not parts:

@@ -12,7 +12,7 @@ from ..core.gaussian import mahalanobis2, symmetrise
 from ..kernels.laser.local_map import count_matches
 from .beam import Beams
 from .keyframes import believed
-from .scan_matching import FrontEnd, FrontEndConfig
+from .scan_matching import BARE_TANGENT, FRONT_END_COARSE, FrontEnd, FrontEndConfig
 
 
 @config
@@ -97,7 +97,7 @@ class PlaceMatcher:
 
     def __init__(self, cfg: ClosureConfig, front_end: FrontEndConfig) -> None:
         self.cfg = cfg
-        self.front_end = FrontEnd(front_end, front_end.bare_tangent)
+        self.front_end = FrontEnd(front_end, BARE_TANGENT)
 
     def match(
         self, place: Place, b: Beams, predicted: Float[np.ndarray, "3"], cov: Float[np.ndarray, "3 3"]
@@ -149,7 +149,9 @@ class PlaceMatcher:
             for dy in axes[1]:
                 for turn in axes[2]:
                     pose = se2.compose(predicted, np.array([dx, dy, turn]))
-                    n = count_matches(fe.coarse, fe.cfg.coarse, s, normal, q, 0.0, fe.cfg.agree, pose, c.search_reach)
+                    n = count_matches(
+                        fe.coarse, FRONT_END_COARSE, s, normal, q, 0.0, fe.cfg.agree, pose, c.search_reach
+                    )
                     if n > most:
                         best, most = pose, n
         return best

@@ -11,12 +11,22 @@ from ..core.errors import ConfigError
 from ..core.findings import Finding
 from .beam import FEATURES, STEERING, BeamConfig, CalibrationConfig, IntensityCalibration
 from .icp import IcpConfig
-from .log_warnings import CopyCheck, JumpCheck, LagCheck, WheelCheck
+from .log_warnings import LagCheck
 from .motion_agreement import MotionCheck
 from .moving import MovingConfig
 from .odometry_calibration import OdometryCalibrationConfig
 from .particle_grid import CellConfig
-from .scan_matching import FrontEndConfig
+from .scan_matching import BARE_TANGENT, FrontEndConfig
+
+REFINE_NEFF = 60.0  # independent returns in a scan, for refining
+REFINE_SIGMA = 0.02  # [m] of each
+REFINE_KAPPA = 0.1  # [m] width of the robust kernel
+REFINE_BARE_TANGENT = 0.03  # and without a feature
+REFINE_SD_XY = 0.05  # [m] a particle may be moved by refining and
+REFINE_SD_TURN = 0.01  # [rad] turned
+FILTER_SIGMA = 0.05  # [m] of each
+FILTER_SHARED = 0.5  # a beam counts when matched in this share of the particles
+PAPER_SIGMA2 = 7e-4  # [m^2] sigma_z of the paper's likelihood
 
 METHODS = ("particle", "graph", "gated", "icp")
 LIKELIHOODS = ("matched", "paper")
@@ -38,29 +48,10 @@ class FilterConfig:
     sd_turn: float = 0.005  # [rad] + sd_turn_per_m d
     sd_turn_per_m: float = 0.0  # [rad] and so much more a metre driven
     refine_iterations: int = 3  # Gauss-Newton steps of refining; 0: none
-    refine_neff: float = 60.0  # independent returns in a scan, for refining
-    refine_sigma: float = 0.02  # [m] of each
-    refine_kappa: float = 0.1  # [m] width of the robust kernel
-    refine_tangent: float = 0.1  # weight of the error along the line, with a feature and
-    refine_bare_tangent: float = 0.03  # and without a feature
-    refine_sd_xy: float = 0.05  # [m] a particle may be moved by refining and
-    refine_sd_turn: float = 0.01  # [rad] turned
+    refine_tangent: float = 0.1  # weight of the error along the line, with a feature
     neff: float = 30.0  # independent returns in a scan, for weighing, with a feature and
     bare_neff: float = 10.0  # and without a feature
-    sigma: float = 0.05  # [m] of each
-    shared: float = 0.5  # a beam counts when matched in this share of the particles
-    paper_sigma2: float = 7e-4  # [m^2] sigma_z of the paper's likelihood
     least_beams: int = 10  # scans with fewer returns change no weights
-
-
-@config
-class MomentConfig:
-    """When rows of a log are of one moment, and when they contradict each other: their stamps are wrong then."""
-
-    within: float = 0.002  # [s] in which a robot hardly moves
-    apart: float = 0.02  # [m] by which such rows contradict each other
-    turned: float = 0.05  # [rad] the same of headings
-    scan_counts: int = 2  # rows of odometry that a scan's pose, which was matched, outweighs
 
 
 @config
@@ -77,17 +68,12 @@ class LaserTrackingConfig:
     gate_sd_turn: float = 0.07  # [rad] being added to those of the front end: odometry and scan may be stamped apart
     matcher: str = "map"  # of the gated method: "map" (Gauss-Newton on lines) or "icp" (the paper's)
     threads: int = 0  # 0: as many as there are free cores; the result is the same
-    raw_alpha: float = 0.1  # [m^2 per q^2] what raw intensity counts, which range changes too
     resolution: float = 0.1  # [m] cell of the map handed over
     beam: BeamConfig = BeamConfig()
     moving: MovingConfig = MovingConfig()
-    wheels: WheelCheck = WheelCheck()
     motion: MotionCheck = MotionCheck()
-    jump: JumpCheck = JumpCheck()
     lag: LagCheck = LagCheck()
     odometry: OdometryCalibrationConfig = OdometryCalibrationConfig()
-    copies: CopyCheck = CopyCheck()
-    moment: MomentConfig = MomentConfig()
     cells: CellConfig = CellConfig()
     front_end: FrontEndConfig = FrontEndConfig()
     filter: FilterConfig = FilterConfig()
@@ -167,10 +153,10 @@ def weighed(cfg: C, feature: Feature) -> C:
         cfg,
         cells=replace(cfg.cells, alpha=w * cfg.cells.alpha),
         icp=replace(cfg.icp, alpha=w * cfg.icp.alpha),
-        front_end=replace(front, alpha=w * front.alpha, tangent=between(front.bare_tangent, front.tangent)),
+        front_end=replace(front, alpha=w * front.alpha, tangent=between(BARE_TANGENT, front.tangent)),
         filter=replace(
             f,
             neff=between(f.bare_neff, f.neff),
-            refine_tangent=between(f.refine_bare_tangent, f.refine_tangent),
+            refine_tangent=between(REFINE_BARE_TANGENT, f.refine_tangent),
         ),
     )

@@ -9,6 +9,10 @@ from ..core import se2
 from ..core.config import config
 from ..kernels.laser.icp import IcpRules, intensity_icp
 
+ICP_ITERATIONS = 50  # of pairing and solving, at most
+ICP_TOLERANCE = 1e-4  # [m, rad] a smaller step ends the search
+ICP_LEAST_PAIRS = 20  # of returns, or the match fails
+
 CELL = 0.1  # [m] of the grid the nearest points are found on; the result does not depend on it
 
 
@@ -18,9 +22,6 @@ class IcpConfig:
     gate: float = 0.4  # [m] farthest D^(1/2) of a pair in the first iteration,
     gate_decay: float = 0.8  # shrinking by this
     least_gate: float = 0.1  # [m] down to this
-    iterations: int = 50  # of pairing and solving, at most
-    tolerance: float = 1e-4  # [m, rad] a smaller step ends the search
-    least_pairs: int = 20  # of returns, or the match fails
 
 
 class IcpMatch(NamedTuple):
@@ -43,7 +44,7 @@ def match(
     Third step: the scan moved by it # [Hara07] eq. 3, and again.
     """
     rules = IcpRules(
-        cfg.alpha, cfg.gate, cfg.least_gate, cfg.gate_decay, cfg.iterations, cfg.tolerance, cfg.least_pairs, CELL
+        cfg.alpha, cfg.gate, cfg.least_gate, cfg.gate_decay, ICP_ITERATIONS, ICP_TOLERANCE, ICP_LEAST_PAIRS, CELL
     )
     pose, pairs, iterations, mean2, _ = intensity_icp(
         np.ascontiguousarray(reference, dtype=float),
@@ -51,6 +52,6 @@ def match(
         np.ascontiguousarray(start, dtype=float),
         rules,
     )
-    status = "failed" if pairs < cfg.least_pairs else "stopped" if iterations == cfg.iterations else "converged"
+    status = "failed" if pairs < ICP_LEAST_PAIRS else "stopped" if iterations == ICP_ITERATIONS else "converged"
     pose[2] = se2.wrap_angle(pose[2])
     return IcpMatch(pose, status, int(pairs), int(iterations), float(np.sqrt(mean2)))

@@ -21,6 +21,18 @@ from .beam import Beams
 from .pose_graph import PoseGraph, edge_factor
 from .robot_graph import RobotGraph
 
+JOINT_PASS_BEAMS = 90  # returns of a keyframe that are matched, spread over it
+JOINT_PASS_SECTORS = 360  # parts of the circle a scan's returns are sorted into
+JOINT_PASS_REACH = 8.0  # [m] from each other at most,
+JOINT_PASS_VIEW = 2.0  # [rad] looking in directions no farther apart
+JOINT_PASS_GATE = 3.0  # [widths] from its line up to which a return is matched
+JOINT_PASS_AGREE = 0.5  # least cosine between the normals of two returns
+JOINT_PASS_BLUR = 0.1  # share of the information across lines that noise in their normals feigns along them
+JOINT_PASS_STEP_XY = 0.05  # [m] and
+JOINT_PASS_STEP_TURN = 0.03  # [rad]: and sd of a step at most
+SCAN_BEAMS = 60  # returns of a scan that are matched
+SCAN_AROUND = 12  # keyframes each scan is matched against
+
 HELD = 1e-4  # [m, rad] sd of the first keyframe, which the frame hangs on
 
 UNSURE = 0.5  # [m] sd of a step from which on it is not held beside what it tells
@@ -31,27 +43,16 @@ class JointPassConfig:
     """The last pass: how keyframes are paired, matched and moved, and how each scan is laid on them."""
 
     widths: tuple[float, ...] = (0.15, 0.1, 0.06, 0.04)  # [m] of the robust cost, a round each
-    beams: int = 90  # returns of a keyframe that are matched, spread over it
-    sectors: int = 360  # parts of the circle a scan's returns are sorted into
     before: int = 4  # keyframes just before each that it is paired with, and
     around: int = 8  # of others, the nearest, so many
-    reach: float = 8.0  # [m] from each other at most,
-    view: float = 2.0  # [rad] looking in directions no farther apart
-    gate: float = 3.0  # [widths] from its line up to which a return is matched
-    agree: float = 0.5  # least cosine between the normals of two returns
     least_matches: int = 15  # returns of a pair within a width of their lines, and
     least_share: float = 0.3  # share of all, or the pair counts nothing
     sigma: float = 0.02  # [m] of a matched return
     temper: float = 0.1  # share of the returns that count as independent
-    blur: float = 0.1  # share of the information across lines that noise in their normals feigns along them
     step_trust: float = (
         1.0  # what the information of the steps between neighbours counts, which hold where walls do not,
     )
-    step_xy: float = 0.05  # [m] and
-    step_turn: float = 0.03  # [rad]: and sd of a step at most
     scan_widths: tuple[float, ...] = (0.06, 0.04)  # [m] as `widths`, for laying each scan on the keyframes
-    scan_beams: int = 60  # returns of a scan that are matched
-    scan_around: int = 12  # keyframes each scan is matched against
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,11 +133,11 @@ def joint_pass(
     pose = np.array(steps.pose)
     if len(pose) < 2:
         return pose
-    index = cloud.index(cfg.sectors)
+    index = cloud.index(JOINT_PASS_SECTORS)
     lined = np.add.reduceat(np.append(cloud.lined, False).astype(np.int64), cloud.start[:-1]) * (
         np.diff(cloud.start) > 0
     )
-    weak = np.diag([cfg.step_xy**-2, cfg.step_xy**-2, cfg.step_turn**-2])
+    weak = np.diag([JOINT_PASS_STEP_XY**-2, JOINT_PASS_STEP_XY**-2, JOINT_PASS_STEP_TURN**-2])
     sure = np.linalg.eigvalsh(steps.information[:, :2, :2])[:, 0] > UNSURE**-2  # over a border there is no such step
     held = replace(steps, information=cfg.step_trust * steps.information + sure[:, None, None] * weak)
     columns = np.arange(3)[None]
@@ -162,10 +163,10 @@ def joint_pass(
             np.asarray(se2.between(pose[a], pose[b])),
             cloud.lines,
             index,
-            LineGate(cfg.gate * width, cfg.agree),
+            LineGate(JOINT_PASS_GATE * width, JOINT_PASS_AGREE),
             width,
         )
-        H, g = without_scatter(H, g, cfg.blur)
+        H, g = without_scatter(H, g, JOINT_PASS_BLUR)
         counts = (near >= cfg.least_matches) & (near >= cfg.least_share * lined[b])
         scale = counts * cfg.temper / cfg.sigma**2
         A, B = se2.between_jacobians(pose[a], pose[b])
@@ -204,7 +205,7 @@ def paired(
     """Keyframes to be matched with each other, i < j, ascending: neighbours in the drive of one robot and in space."""
     n = len(pose)
     i = np.arange(n)
-    near = neighbours(pose, pose, cfg.around, cfg, own=i, apart=cfg.before)
+    near = neighbours(pose, pose, cfg.around, own=i, apart=cfg.before)
     row, col = np.nonzero(near >= 0)
     space = np.column_stack([row, near[row, col]])
     drive = [np.column_stack([i[k:] - k, i[k:]]) for k in range(1, cfg.before + 1)]
@@ -219,7 +220,6 @@ def neighbours(
     pose: Float[np.ndarray, "s 3"],
     keyframes: Float[np.ndarray, "n 3"],
     most: int,
-    cfg: JointPassConfig,
     own: Int[np.ndarray, " s"] | None = None,
     apart: int = 0,
 ) -> Int[np.ndarray, "s most"]:
@@ -230,7 +230,7 @@ def neighbours(
     k = min(len(keyframes), 3 * most + 2 * apart + 1)
     tree = cKDTree(keyframes[:, :2])
     d, at = (np.asarray(a) for a in tree.query(pose[:, :2], k=np.arange(1, k + 1)))
-    good = (d <= cfg.reach) & (np.abs(se2.wrap_angle(pose[:, None, 2] - keyframes[at, 2])) <= cfg.view)
+    good = (d <= JOINT_PASS_REACH) & (np.abs(se2.wrap_angle(pose[:, None, 2] - keyframes[at, 2])) <= JOINT_PASS_VIEW)
     if own is not None:
         good &= (np.abs(at - own[:, None]) > apart) | (own[:, None] < 0)
     rank = np.cumsum(good, axis=1)
@@ -257,14 +257,14 @@ def lay_scans(
     out = refine_poses(
         np.ascontiguousarray(pose),
         scans.lines,
-        neighbours(pose, keyframes, cfg.scan_around, cfg, own),
+        neighbours(pose, keyframes, SCAN_AROUND, own),
         np.ascontiguousarray(keyframes),
         cloud.lines,
-        cloud.index(cfg.sectors),
-        LineGate(cfg.gate, cfg.agree),
+        cloud.index(JOINT_PASS_SECTORS),
+        LineGate(JOINT_PASS_GATE, JOINT_PASS_AGREE),
         np.asarray(cfg.scan_widths, dtype=float),
         cfg.temper / cfg.sigma**2,
-        np.array([cfg.step_xy, cfg.step_xy, cfg.step_turn]),
+        np.array([JOINT_PASS_STEP_XY, JOINT_PASS_STEP_XY, JOINT_PASS_STEP_TURN]),
     )
     out[:, 2] = se2.wrap_angle(out[:, 2])
     return np.asarray(out)

@@ -16,6 +16,10 @@ from .beam import Beams
 from .scan_matching import FrontEndConfig
 from .scan_odometry import ScanInfo, ScanOdometry
 
+STEP_NOISE_TRUST = 2.0  # [-] what one scan's information on its place counts, its returns not being independent
+STEP_NOISE_BLUR = 0.02  # [-] share of the information across lines that noise in their normals feigns along them
+STEP_NOISE_HOLD = 100.0  # [-] headings: how many scans' information a step counts, jitter not adding up
+
 
 @config
 class StepNoise:
@@ -28,9 +32,6 @@ class StepNoise:
     wheels_xy: float = 0.033  # [m per sqrt(m)] sd of odometry, whose scale errs for metres on end
     wheels_turn_per_m: float = 0.0075  # [rad per sqrt(m)] sd of odometry's heading with the distance
     wheels_turn: float = 0.018  # [rad per sqrt(rad)] and with the turning
-    trust: float = 2.0  # [-] what one scan's information on its place counts, its returns not being independent
-    blur: float = 0.02  # [-] share of the information across lines that noise in their normals feigns along them
-    hold: float = 100.0  # [-] headings: how many scans' information a step counts, jitter not adding up
     drift_xy: float = 0.002  # [m per sqrt(m)] that the front end drifts where walls tell all
     drift_turn: float = 0.0003  # [rad per sqrt(m)] that its heading drifts
     jitter_xy: float = 0.002  # [m] sd of every keyframe's place, which no step inherits
@@ -69,10 +70,12 @@ def step_covariance(
     lines: Float[np.ndarray, "3 3"], wheels: Float[np.ndarray, "3 3"], way: float, noise: StepNoise
 ) -> Float[np.ndarray, "3 3"]:
     """Covariance of a keyframe's step over `way` [m], without the jitter of its ends."""
-    place = believed(lines, noise.trust, noise.blur)[:2, :2] + np.linalg.inv(wheels[:2, :2] + 1e-10 * np.eye(2))
+    place = believed(lines, STEP_NOISE_TRUST, STEP_NOISE_BLUR)[:2, :2] + np.linalg.inv(
+        wheels[:2, :2] + 1e-10 * np.eye(2)
+    )
     cov = np.zeros((3, 3))
     cov[:2, :2] = symmetrise(np.linalg.inv(place)) + (noise.drift_xy**2 * way + 1e-8) * np.eye(2)
-    cov[2, 2] = 1.0 / (noise.hold * lines[2, 2] + 1.0 / (wheels[2, 2] + 1e-10)) + noise.drift_turn**2 * way + 1e-10
+    cov[2, 2] = 1.0 / (STEP_NOISE_HOLD * lines[2, 2] + 1.0 / (wheels[2, 2] + 1e-10)) + noise.drift_turn**2 * way + 1e-10
     return cov
 
 

@@ -18,8 +18,8 @@ from .beam import Beams, beams
 from .config import Feature, LaserTrackingConfig, weighed
 from .laser_map import GridMap, IntensityCalibration, ScanInfos, ScanRecords
 from .likelihood_field import nearest_field
-from .localise_filter import LocaliseConfig, PlaceFilter
-from .localise_trust import Evidence, LocalisedScan, evidence
+from .localise_filter import LOCALISE_BEAMS, LOCALISE_DOUBTS, UPDATE_DISTANCE, UPDATE_TURN, LocaliseConfig, PlaceFilter
+from .localise_trust import LEAST_OCCUPANCY, TRUST_SCANS, Evidence, LocalisedScan, evidence
 from .scan_odometry import ScanInfo, ScanOdometry, blended
 
 
@@ -86,7 +86,7 @@ def localise(
         findings.append(Finding("light-unused", log.robot, value="the log or the map has none"))
     cfg = weighed(cfg, Feature(feature, calibration))
     try:
-        walls = nearest_field(grid, how.trust.least_occupancy)
+        walls = nearest_field(grid, LEAST_OCCUPANCY)
     except ValueError as error:
         raise DataError(f"{log.source}: {error}") from None
     alpha = cfg.cells.alpha if feature != "none" else 0.0
@@ -112,7 +112,7 @@ def localise(
             LocalisedScan(
                 pose, beams(log.scans[row], feature, calibration, cfg.beam), np.array(log.scans[row].T_robot_sensor[:2])
             )
-            for row, pose in _kept(rows, how.trust.scans)
+            for row, pose in _kept(rows, TRUST_SCANS)
         ]
         support = evidence(seen, grid, walls, light=feature != "none", searched=start is None, cfg=how.trust)
         few = f"the map explains {100 * matched:.0f} % of the returns"
@@ -171,9 +171,9 @@ def _follow(
         b = beams(scan, *light, cfg.beam)
         info = odometry.advance(scan, b)
         on_progress("scans", row + 1, len(log.scans))
-        points = _some(b, how.beams)
+        points = _some(b, LOCALISE_BEAMS)
         motion = se2.between(odometry.poses[way.at[-1]], odometry.poses[row]) if way.at else np.zeros(3)
-        far = np.hypot(motion[0], motion[1]) >= how.update_distance or abs(motion[2]) >= how.update_turn
+        far = np.hypot(motion[0], motion[1]) >= UPDATE_DISTANCE or abs(motion[2]) >= UPDATE_TURN
         if len(points) < cfg.filter.least_beams or (way.at and not far):
             way.infos.append(ScanInfo(info.innovation, info.beams, 0, "skipped" if len(points) else "empty"))
             continue
@@ -181,7 +181,11 @@ def _follow(
         if way.at:
             particles.move(motion)
             particles.weigh(points)
-            if start is None and len(explained) >= how.doubts and np.mean(explained[-how.doubts :]) < how.trusted:
+            if (
+                start is None
+                and len(explained) >= LOCALISE_DOUBTS
+                and np.mean(explained[-LOCALISE_DOUBTS:]) < how.trusted
+            ):
                 particles.begin(None, points)
                 way.converged_row, explained = None, []
                 way.restarts += 1

@@ -14,40 +14,41 @@ from .laser_map import GridMap
 from .likelihood_field import NearestField
 from .localise_trust import TrustConfig
 
+LOCALISE_SPACING = 0.2  # [m] between places tried and
+LOCALISE_TURN = float(np.radians(5.0))  # [rad] between headings tried, when the start is searched everywhere
+PER_BIN = 20  # particles for each bin that is held likely
+LOCALISE_BIN = (0.5, float(np.radians(15.0)))  # [m], [rad] sides of such a bin
+LOCALISE_BEAMS = 60  # of a scan are asked, spread over it
+UPDATE_DISTANCE = 0.25  # [m] moved, or
+UPDATE_TURN = 0.25  # [rad] moved before weights change
+LOCALISE_NEFF = 10.0  # independent returns in a scan
+SEARCH_SIGMA = 0.2  # [m] of each while searching
+SEARCH_CAP = 0.25  # [m^2] greatest squared distance a beam is charged while searching
+LOCALISE_SIGMA = 0.07  # [m] of each once found
+LOCALISE_CAP = 0.06  # [m^2] and once found
+LOCALISE_MATCHED = 0.04  # [m^2] squared distance below which a return of the estimate counts as matched
+FREE_PASSES = 2  # beams that went through a cell in which the robot may start, at least
+FOUND_XY = 0.3  # [m] and
+FOUND_TURN = float(np.radians(8.0))  # [rad]: spread under which the start counts as found
+FOUND_SHARE = 0.95  # of the weight at one place, at least
+ONE_XY = 1.0  # [m] and
+ONE_TURN = float(np.radians(20.0))  # [rad] round the heaviest particle: one place
+START_XY = 0.2  # [m] and
+START_TURN = float(np.radians(5.0))  # [rad] sd of the particles round a start that is given
+LOCALISE_DOUBTS = 8  # updates in a row whose mean share is less: the place found was wrong, the search begins anew
+
 
 @config
 class LocaliseConfig:
     """How a robot is found and followed in a finished map, and when it is believed to be there."""
 
-    spacing: float = 0.2  # [m] between places tried and
-    turn: float = float(np.radians(5.0))  # [rad] between headings tried, when the start is searched everywhere
     most: int = 20_000  # particles while the start is not found, at most
     least: int = 2_000  # and at least
-    per_bin: int = 20  # particles for each bin that is held likely
-    bin: tuple[float, float] = (0.5, float(np.radians(15.0)))  # [m], [rad] sides of such a bin
-    beams: int = 60  # of a scan are asked, spread over it
-    update_distance: float = 0.25  # [m] moved, or
-    update_turn: float = 0.25  # [rad] moved before weights change
     sd_xy: float = 0.02  # [m] + sd_xy_per_m d: spread of the particles' moves
     sd_xy_per_m: float = 0.08  # and so much more a metre driven
     sd_turn: float = 0.01  # [rad] + sd_turn_per_m d
     sd_turn_per_m: float = 0.02  # [rad] and so much more a metre driven
-    neff: float = 10.0  # independent returns in a scan
-    search_sigma: float = 0.2  # [m] of each while searching
-    search_cap: float = 0.25  # [m^2] greatest squared distance a beam is charged while searching
-    sigma: float = 0.07  # [m] of each once found
-    cap: float = 0.06  # [m^2] and once found
-    matched: float = 0.04  # [m^2] squared distance below which a return of the estimate counts as matched
-    free_passes: int = 2  # beams that went through a cell in which the robot may start, at least
-    found_xy: float = 0.3  # [m] and
-    found_turn: float = float(np.radians(8.0))  # [rad]: spread under which the start counts as found
-    found_share: float = 0.95  # of the weight at one place, at least
-    one_xy: float = 1.0  # [m] and
-    one_turn: float = float(np.radians(20.0))  # [rad] round the heaviest particle: one place
-    start_xy: float = 0.2  # [m] and
-    start_turn: float = float(np.radians(5.0))  # [rad] sd of the particles round a start that is given
     trusted: float = 0.6  # share of the returns the map must explain
-    doubts: int = 8  # updates in a row whose mean share is less: the place found was wrong, the search begins anew
     trust: TrustConfig = TrustConfig()
 
 
@@ -62,13 +63,13 @@ class Cloud:
         w = np.exp(self.log_weight - self.log_weight.max())
         return np.asarray(w / w.sum())
 
-    def middle(self, how: LocaliseConfig) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"], float]:
+    def middle(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"], float]:
         """Mean pose round the heaviest particle, spread there [m, m, rad], and the share of the weight it holds."""
         w = self.shares()
         best = self.poses[int(np.argmax(w))]
         off = self.poses - best
         off[:, 2] = se2.wrap_angle(off[:, 2])
-        close = (np.hypot(off[:, 0], off[:, 1]) < how.one_xy) & (np.abs(off[:, 2]) < how.one_turn)
+        close = (np.hypot(off[:, 0], off[:, 1]) < ONE_XY) & (np.abs(off[:, 2]) < ONE_TURN)
         share = float(w[close].sum())
         v = w[close] / share
         mean = v @ off[close]
@@ -99,20 +100,20 @@ class PlaceFilter:
         how = self.how
         self.found = start is not None
         if start is not None:
-            spread = np.array([how.start_xy, how.start_xy, how.start_turn])
+            spread = np.array([START_XY, START_XY, START_TURN])
             poses = start + spread * self.rng.standard_normal((max(how.least, self.particles), 3))
             self.cloud = Cloud(poses, np.zeros(len(poses)))
             self.weigh(points)
             return
-        places = _spaced(self.grid.free_cells(how.free_passes), how.spacing)
+        places = _spaced(self.grid.free_cells(FREE_PASSES), LOCALISE_SPACING)
         if not len(places):
             raise DataError("the map has no free place a robot could be in")
-        headings = np.arange(-np.pi, np.pi, how.turn)
+        headings = np.arange(-np.pi, np.pi, LOCALISE_TURN)
         best: list[np.ndarray] = []
         scores: list[np.ndarray] = []
         for part in np.array_split(places, max(1, len(places) // 2000)):
             poses = np.column_stack([np.repeat(part, len(headings), axis=0), np.tile(headings, len(part))])
-            mean, _ = self.walls.score(poses, points, alpha=self.alpha, cap=how.search_cap)
+            mean, _ = self.walls.score(poses, points, alpha=self.alpha, cap=SEARCH_CAP)
             best.append(poses)
             scores.append(self._gain(mean))
         log_weight = np.concatenate(scores)
@@ -127,20 +128,19 @@ class PlaceFilter:
 
     def weigh(self, points: Float[np.ndarray, "n 3"]) -> None:
         """Weights take the scan in; says whether the hypotheses have become one."""
-        how = self.how
-        cap = how.cap if self.found else how.search_cap
+        cap = LOCALISE_CAP if self.found else SEARCH_CAP
         mean, _ = self.walls.score(self.cloud.poses, points, alpha=self.alpha, cap=cap)
         self.cloud.log_weight = self.cloud.log_weight + self._gain(mean)
         if not self.found:
-            _, spread, share = self.cloud.middle(how)
-            narrow = max(spread[0], spread[1]) < how.found_xy and spread[2] < how.found_turn
-            self.found = narrow and share > how.found_share
+            _, spread, share = self.cloud.middle()
+            narrow = max(spread[0], spread[1]) < FOUND_XY and spread[2] < FOUND_TURN
+            self.found = narrow and share > FOUND_SHARE
 
     def posterior(self, b: Beams) -> tuple[Float[np.ndarray, "3"], int, float, bool]:
         """The estimate, its matched returns, the effective number before drawing anew, and whether that was done."""
-        pose, _, _ = self.cloud.middle(self.how)
+        pose, _, _ = self.cloud.middle()
         every = np.column_stack([b.s, b.q])
-        _, matched = self.walls.score(pose[None], every, alpha=self.alpha, cap=1.0, matched_under=self.how.matched)
+        _, matched = self.walls.score(pose[None], every, alpha=self.alpha, cap=1.0, matched_under=LOCALISE_MATCHED)
         w = self.cloud.shares()
         n_eff = float(1.0 / (w @ w))
         wanted = max(self.particles, 50) if self.found else self._wanted(w)
@@ -150,15 +150,15 @@ class PlaceFilter:
         return pose, int(matched[0]), n_eff, again
 
     def _gain(self, mean: Float[np.ndarray, " p"]) -> Float[np.ndarray, " p"]:
-        sigma = self.how.sigma if self.found else self.how.search_sigma
-        return np.asarray(-self.how.neff / (2 * sigma**2) * mean)
+        sigma = LOCALISE_SIGMA if self.found else SEARCH_SIGMA
+        return np.asarray(-LOCALISE_NEFF / (2 * sigma**2) * mean)
 
     def _wanted(self, w: Float[np.ndarray, " p"]) -> int:
         """As many particles as the places that are still likely ask for."""
         likely = self.cloud.poses[w > 1e-3 / len(w)]
-        size, turn = self.how.bin
+        size, turn = LOCALISE_BIN
         bins = len(np.unique(np.floor(likely / [size, size, turn]).astype(np.int64), axis=0))
-        return int(np.clip(self.how.per_bin * bins, self.how.least, self.how.most))
+        return int(np.clip(PER_BIN * bins, self.how.least, self.how.most))
 
     def _draw(self, cloud: Cloud, count: int) -> None:
         """`count` particles drawn from `cloud` by weight, evenly."""

@@ -16,6 +16,22 @@ from .likelihood_field import NearestField, wall_cells
 from .place_search import Hit, LikelihoodField, PlaceConfig, everywhere, likelihood_field, search
 from .submaps import query_around
 
+LEAST_OCCUPANCY = 0.3  # of a cell that is a wall: what was mostly seen through was somebody passing by
+TRUST_NEAR = 0.15  # [m] of them
+MOST_THROUGH = 0.1  # share of the beams at most that pass a wall of the map
+TRUST_MARGIN = 0.4  # [m] or more before they return
+TRUST_LEAST_COSINE = 0.3  # of incidence: beams along walls do not say what they pass
+TRUST_CONTRAST = 0.08  # [q] sd of the light of returns and of the map from which on it tells places apart: then
+LEAST_LIGHT = 0.75  # both must correlate so much at least: by chance a place searched for reaches 0.71
+LIGHT_AHEAD = 0.25  # correlation by which the place found must be ahead of another that fits, or
+MOST_RATIO = 0.9  # share of its score that the next best place may have at most
+TRUST_SAME = 0.5  # [m] and
+SAME_TURN = 0.25  # [rad] between poses that are one place
+TRUST_KEYFRAME = 0.3  # [m] between the scans another place is searched for with
+TRUST_KEYFRAMES = 100  # of them, at most, the last
+TRUST_SCANS = 200  # that are held against the map, spread over the trajectory
+TRUST_BEAMS = 120  # returns of each that are asked
+
 NOWHERE = 1e6  # [m] to the nearest wall from outside the map
 
 
@@ -23,22 +39,7 @@ NOWHERE = 1e6  # [m] to the nearest wall from outside the map
 class TrustConfig:
     """When a robot that seems to be placed in a map is believed to be there."""
 
-    least_occupancy: float = 0.3  # of a cell that is a wall: what was mostly seen through was somebody passing by
     least_explained: float = 0.6  # share of the returns that must lie on walls of the map, within
-    near: float = 0.15  # [m] of them
-    most_through: float = 0.1  # share of the beams at most that pass a wall of the map
-    margin: float = 0.4  # [m] or more before they return
-    least_cosine: float = 0.3  # of incidence: beams along walls do not say what they pass
-    contrast: float = 0.08  # [q] sd of the light of returns and of the map from which on it tells places apart: then
-    least_light: float = 0.75  # both must correlate so much at least: by chance a place searched for reaches 0.71
-    light_ahead: float = 0.25  # correlation by which the place found must be ahead of another that fits, or
-    most_ratio: float = 0.9  # share of its score that the next best place may have at most
-    same: float = 0.5  # [m] and
-    same_turn: float = 0.25  # [rad] between poses that are one place
-    keyframe: float = 0.3  # [m] between the scans another place is searched for with
-    keyframes: int = 100  # of them, at most, the last
-    scans: int = 200  # that are held against the map, spread over the trajectory
-    beams: int = 120  # returns of each that are asked
     place: PlaceConfig = PlaceConfig()
 
 
@@ -76,15 +77,15 @@ def evidence(
     walls: of `grid`; light: whether brightness takes part; searched: whether the place was searched everywhere, so that
     another that fits as well is a reason for doubt.
     """
-    some = [seen[k] for k in spread(len(seen), cfg.scans)]
-    here = _agreement(some, walls, np.zeros(3), light=light, cfg=cfg)
+    some = [seen[k] for k in spread(len(seen), TRUST_SCANS)]
+    here = _agreement(some, walls, np.zeros(3), light=light)
     ratio, rival = _rival(seen, grid, light=light, cfg=cfg) if searched else (0.0, None)
     doubt = _doubt(here, cfg)
-    if not doubt and rival is not None and ratio > cfg.most_ratio:
+    if not doubt and rival is not None and ratio > MOST_RATIO:
         shift = se2.compose(rival, se2.inverse(seen[-1].pose))
-        there = _agreement(some, walls, shift, light=light, cfg=cfg)
+        there = _agreement(some, walls, shift, light=light)
         ahead = 0.0 if here.light is None or there.light is None else here.light - there.light
-        if ahead < cfg.light_ahead:
+        if ahead < LIGHT_AHEAD:
             x, y, turn = rival
             place = f"({x:.1f} m, {y:.1f} m, {np.degrees(turn):.0f} degrees)"
             doubt = f"the scans fit also where the last pose is {place}: {ratio:.2f} times as well"
@@ -100,9 +101,9 @@ class _Agreement(NamedTuple):
 def _doubt(here: _Agreement, cfg: TrustConfig) -> str:
     doubts = (
         (here.explained < cfg.least_explained, f"the map explains {100 * here.explained:.0f} % of the returns"),
-        (here.through > cfg.most_through, f"{100 * here.through:.0f} % of the beams pass through walls of the map"),
+        (here.through > MOST_THROUGH, f"{100 * here.through:.0f} % of the beams pass through walls of the map"),
         (
-            here.light is not None and here.light < cfg.least_light,
+            here.light is not None and here.light < LEAST_LIGHT,
             f"the light sent back is not that of the map (correlation {here.light or 0.0:.2f})",
         ),
     )
@@ -110,7 +111,7 @@ def _doubt(here: _Agreement, cfg: TrustConfig) -> str:
 
 
 def _agreement(
-    seen: Sequence[LocalisedScan], walls: NearestField, shift: Float[np.ndarray, "3"], *, light: bool, cfg: TrustConfig
+    seen: Sequence[LocalisedScan], walls: NearestField, shift: Float[np.ndarray, "3"], *, light: bool
 ) -> _Agreement:
     """How the scans agree with the map when all their poses are moved rigidly."""
     far: list[np.ndarray] = []
@@ -119,20 +120,20 @@ def _agreement(
     known: list[np.ndarray] = []
     for one in seen:
         b, pose = one.beams, se2.compose(shift, one.pose)
-        pick = spread(len(b.q), cfg.beams)
+        pick = spread(len(b.q), TRUST_BEAMS)
         points = se2.act(pose, b.s[pick])
         near = walls.nearest(points, NOWHERE)
         d = np.hypot(*(near[:, :2] - points).T)
         far.append(d)
-        steep = (b.c[pick] >= cfg.least_cosine) & (b.r[pick] > 2.0 * cfg.margin)
-        passed.append(_through(walls, se2.act(pose, one.eye), points[steep], cfg))
-        measured.append(b.q[pick][d < cfg.near])
-        known.append(near[d < cfg.near, 2])
+        steep = (b.c[pick] >= TRUST_LEAST_COSINE) & (b.r[pick] > 2.0 * TRUST_MARGIN)
+        passed.append(_through(walls, se2.act(pose, one.eye), points[steep]))
+        measured.append(b.q[pick][d < TRUST_NEAR])
+        known.append(near[d < TRUST_NEAR, 2])
     every, through = np.concatenate(far), np.concatenate(passed)
     return _Agreement(
-        float(np.mean(every < cfg.near)) if len(every) else 0.0,
+        float(np.mean(every < TRUST_NEAR)) if len(every) else 0.0,
         float(through.mean()) if len(through) else 0.0,
-        _correlation(np.concatenate(measured), np.concatenate(known), cfg.contrast) if light else None,
+        _correlation(np.concatenate(measured), np.concatenate(known), TRUST_CONTRAST) if light else None,
     )
 
 
@@ -144,17 +145,17 @@ def _correlation(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " n"], contras
 
 
 def _through(
-    walls: NearestField, eye: Float[np.ndarray, "2"], points: Float[np.ndarray, "n 2"], cfg: TrustConfig
+    walls: NearestField, eye: Float[np.ndarray, "2"], points: Float[np.ndarray, "n 2"]
 ) -> Bool[np.ndarray, " n"]:
     """Which beams from `eye` pass a wall `margin` or more before they return, and after they left."""
     if not len(points):
         return np.zeros(0, bool)
     r = np.hypot(*(points - eye).T)
-    s = np.arange(cfg.margin, float(r.max()) - cfg.margin, 0.5 * walls.cell)
+    s = np.arange(TRUST_MARGIN, float(r.max()) - TRUST_MARGIN, 0.5 * walls.cell)
     samples = eye + s[None, :, None] * ((points - eye) / r[:, None])[:, None]
     near = walls.nearest(samples.reshape(-1, 2), NOWHERE).reshape(len(points), len(s), 3)
     d = np.hypot(*(near[..., :2] - samples).transpose(2, 0, 1))
-    return np.asarray(((d < 0.5 * walls.cell) & (s < r[:, None] - cfg.margin)).any(axis=1))
+    return np.asarray(((d < 0.5 * walls.cell) & (s < r[:, None] - TRUST_MARGIN)).any(axis=1))
 
 
 def _rival(
@@ -163,20 +164,20 @@ def _rival(
     """The best other place of the last scans, laid together as they are believed to lie, and its score's ratio."""
     kept = [seen[-1]]
     for one in reversed(seen[:-1]):
-        if np.hypot(*(one.pose - kept[-1].pose)[:2]) >= cfg.keyframe:
+        if np.hypot(*(one.pose - kept[-1].pose)[:2]) >= TRUST_KEYFRAME:
             kept.append(one)
-    kept = kept[: cfg.keyframes]
+    kept = kept[:TRUST_KEYFRAMES]
     lights = [one.beams.q for one in kept] if light else None
     clouds = [one.beams.s for one in kept]
     query = query_around(np.array([one.pose for one in kept]), clouds, 0, len(kept), lights)
     if not len(query.points):
         return 1.0, None
     field = _field(grid, light=light, cfg=cfg)
-    least = 0.5 * cfg.most_ratio
+    least = 0.5 * MOST_RATIO
     places = search(field, query.points, everywhere(field), query.q, least_ratio=least)
     hits = [hit for hit in (places.best, places.second) if hit is not None]
-    own = [hit for hit in hits if _same(hit, seen[-1].pose, cfg)]
-    others = [hit for hit in hits if not _same(hit, seen[-1].pose, cfg)]
+    own = [hit for hit in hits if _same(hit, seen[-1].pose)]
+    others = [hit for hit in hits if not _same(hit, seen[-1].pose)]
     if not others:
         return 0.0, None
     ratio = others[0].score / own[0].score if own else 1.0  # the place found is not even the second
@@ -184,11 +185,11 @@ def _rival(
 
 
 def _field(grid: GridMap, *, light: bool, cfg: TrustConfig) -> LikelihoodField:
-    rows, cols = np.nonzero(wall_cells(grid, cfg.least_occupancy))
+    rows, cols = np.nonzero(wall_cells(grid, LEAST_OCCUPANCY))
     q = grid.feature[rows, cols].astype(float) if light else None
     return likelihood_field(grid.mean[rows, cols].astype(float), q, cfg.place)
 
 
-def _same(hit: Hit, pose: Float[np.ndarray, "3"], cfg: TrustConfig) -> bool:
+def _same(hit: Hit, pose: Float[np.ndarray, "3"]) -> bool:
     d = se2.between(pose, hit.pose)
-    return bool(np.hypot(d[0], d[1]) < cfg.same and abs(d[2]) < cfg.same_turn)
+    return bool(np.hypot(d[0], d[1]) < TRUST_SAME and abs(d[2]) < SAME_TURN)

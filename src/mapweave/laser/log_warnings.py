@@ -29,21 +29,45 @@ from .laser_map import ScanRecords
 from .robot_graph import RobotGraph
 from .scan_odometry import STILL
 
+LAG_MOST = 3.0  # [s] tried to either side,
+LAG_STEP = 0.05  # [s] apart
+LAG_TURN = 0.02  # [rad] from scan to scan, and more: what stands or drives straight tells nothing
+LAG_TURNS = 40  # of them at least
+LAG_CAPPED = 0.1  # [rad] more difference than this counts as this
+LAG_PARTS = 8  # of the log, each asked by itself,
+LAG_AGREE = 0.75  # share of them that must find the same lag
+LAG_WITHIN = 0.1  # [s] of each other
+LAG_LEAST = 0.2  # [s] of lag that is told
+
+WHEEL_STRETCH = 2.0  # [m] driven, whose lengths are compared
+WHEEL_SHARE = 0.2  # by which they differ
+WHEEL_LONG = 8.0  # [m] on end, and
+LONG_APART = 1.5  # [m] ahead in all: stamps that are mixed make stretches longer and shorter by turns
+WHEEL_STAND = 2.0  # [m] that scans tell, on end, while wheels report no motion,
+STAND_STEP = 0.5  # [m] from one place to the next
+WHEEL_UNLIKE = 3.0  # times as far, or as little, as the wheels tell scans move in all
+UNLIKE_WAY = 5.0  # [m] at least
+WHEEL_LEAP = 2.0  # [m] from one scan to the next, or
+LEAP_TURN = 1.0  # [rad] that it turns, at
+LEAP_SPEED = 5.0  # times the speed that no more
+LEAP_OTHERS = 0.95  # of all steps than this share have
+
+JUMP_DROP = 0.4  # of the share of returns on known walls from one scan to the next, and
+DROP_PER_M = 1.0  # so much more for a metre between the two and
+DROP_PER_RAD = 0.3  # for a radian of turn: new places come into view
+JUMP_LEAST_RETURNS = 30  # in either scan
+JUMP_LATE = 50  # scans, after which the first of a scanner belongs to another drive
+
+COPY_LEAST_RETURNS = 30  # of a keyframe that is compared,
+COPY_SCANS = 5  # that are equal, at least, and
+COPY_SHARE = 0.05  # of the keyframes of the robot that has fewer
+
 
 @config
 class LagCheck:
     """Which lags are tried, and when one is a warning."""
 
-    most: float = 3.0  # [s] tried to either side,
-    step: float = 0.05  # [s] apart
-    turn: float = 0.02  # [rad] from scan to scan, and more: what stands or drives straight tells nothing
-    turns: int = 40  # of them at least
-    capped: float = 0.1  # [rad] more difference than this counts as this
-    parts: int = 8  # of the log, each asked by itself,
-    agree: float = 0.75  # share of them that must find the same lag
-    within: float = 0.1  # [s] of each other
     gain: float = 0.75  # of the difference without a lag, at most, must remain with it
-    least: float = 0.2  # [s] of lag that is told
 
 
 def stamp_lag(
@@ -56,48 +80,28 @@ def stamp_lag(
     if odometry is None or len(odometry.t) < 2 or len(t) < 2:
         return None
     turned = np.diff(heading)
-    turning = np.abs(turned) >= cfg.turn
-    if turning.sum() < cfg.turns:
+    turning = np.abs(turned) >= LAG_TURN
+    if turning.sum() < LAG_TURNS:
         return None
     wheels = np.unwrap(odometry.pose[:, 2])
-    lags = cfg.step * np.arange(-round(cfg.most / cfg.step), round(cfg.most / cfg.step) + 1)
+    lags = LAG_STEP * np.arange(-round(LAG_MOST / LAG_STEP), round(LAG_MOST / LAG_STEP) + 1)
     by = np.array([np.diff(np.interp(t - lag, odometry.t, wheels))[turning] for lag in lags])
-    apart = np.minimum(np.abs(turned[turning] - by), cfg.capped)
+    apart = np.minimum(np.abs(turned[turning] - by), LAG_CAPPED)
     whole = apart.mean(axis=1)
     best = int(np.argmin(whole))
-    own = lags[[int(np.argmin(part.mean(axis=1))) for part in np.array_split(apart, cfg.parts, axis=1)]]
-    sure = np.mean(np.abs(own - lags[best]) <= cfg.within + 1e-9) >= cfg.agree
+    own = lags[[int(np.argmin(part.mean(axis=1))) for part in np.array_split(apart, LAG_PARTS, axis=1)]]
+    sure = np.mean(np.abs(own - lags[best]) <= LAG_WITHIN + 1e-9) >= LAG_AGREE
     return float(lags[best]) if sure and whole[best] <= cfg.gain * whole[len(lags) // 2] else None
 
 
-def lag_found(lag: float | None, robot: str, cfg: LagCheck) -> tuple[Finding, ...]:
+def lag_found(lag: float | None, robot: str) -> tuple[Finding, ...]:
     """A finding for a lag that matters."""
-    if lag is None or abs(lag) < cfg.least - 1e-9:
+    if lag is None or abs(lag) < LAG_LEAST - 1e-9:
         return ()
     return (Finding("stamp-lag", robot, value={"value": abs(lag), "way": "after" if lag > 0 else "before"}),)
 
 
-@config
-class WheelCheck:
-    """When the motion from scans and the motion from wheels differ so long that it is a warning."""
-
-    stretch: float = 2.0  # [m] driven, whose lengths are compared
-    share: float = 0.2  # by which they differ
-    long: float = 8.0  # [m] on end, and
-    long_apart: float = 1.5  # [m] ahead in all: stamps that are mixed make stretches longer and shorter by turns
-    stand: float = 2.0  # [m] that scans tell, on end, while wheels report no motion,
-    stand_step: float = 0.5  # [m] from one place to the next
-    unlike: float = 3.0  # times as far, or as little, as the wheels tell scans move in all
-    unlike_way: float = 5.0  # [m] at least
-    leap: float = 2.0  # [m] from one scan to the next, or
-    leap_turn: float = 1.0  # [rad] that it turns, at
-    leap_speed: float = 5.0  # times the speed that no more
-    leap_others: float = 0.95  # of all steps than this share have
-
-
-def wheels_disagree(
-    track: Track, dead: Track | None, robot: str, cfg: WheelCheck, factor: float = 1.0
-) -> tuple[Finding, ...]:
+def wheels_disagree(track: Track, dead: Track | None, robot: str, factor: float = 1.0) -> tuple[Finding, ...]:
     """A finding where the motion from scans and the motion from wheels differ for long.
 
     dead: dead reckoning at the stamps of `track`; factor: of its ways, which is told already. Both are cut where the
@@ -107,27 +111,27 @@ def wheels_disagree(
     if dead is None or len(dead.t) != len(track.t) or len(track.t) < 2:
         return ()
     driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(dead.pose[:, :2], axis=0).T))])
-    cuts = np.searchsorted(driven, np.arange(0.0, driven[-1], cfg.stretch))
+    cuts = np.searchsorted(driven, np.arange(0.0, driven[-1], WHEEL_STRETCH))
     wheels = factor * np.hypot(*np.diff(dead.pose[cuts, :2], axis=0).T)
     scans = np.hypot(*np.diff(track.pose[cuts, :2], axis=0).T)
-    far = np.abs(scans - wheels) > cfg.share * np.maximum(wheels, 0.5 * cfg.stretch)
+    far = np.abs(scans - wheels) > WHEEL_SHARE * np.maximum(wheels, 0.5 * WHEEL_STRETCH)
     most, run, end = 0, 0, 0
     for k, differs in enumerate(far.tolist()):
         run = run + 1 if differs else 0
         if run > most:
             most, end = run, k + 1
-    if most * cfg.stretch < cfg.long:
+    if most * WHEEL_STRETCH < WHEEL_LONG:
         return ()
     part = slice(end - most, end)
     ahead = [se2.between(p[cuts[:-1]], p[cuts[1:]])[part, 0].sum() for p in (track.pose, dead.pose)]
-    if abs(ahead[0] - factor * ahead[1]) < cfg.long_apart:
+    if abs(ahead[0] - factor * ahead[1]) < LONG_APART:
         return ()
     first, last = track.t[cuts[end - most]], track.t[cuts[end]]
     told = {"scans": float(scans[part].sum()), "wheels": float(wheels[part].sum())}
     return (Finding("wheels-disagree", robot, (float(first), float(last)), told),)
 
 
-def wheels_stand(track: Track, dead: Track | None, robot: str, cfg: WheelCheck) -> tuple[Finding, ...]:
+def wheels_stand(track: Track, dead: Track | None, robot: str) -> tuple[Finding, ...]:
     """A finding where the wheels report no motion at all while the scans tell of one: the first such stretch.
 
     dead: dead reckoning at the stamps of `track`. The motion from scans counts in steps of `cfg.stand_step`, so that
@@ -141,9 +145,9 @@ def wheels_stand(track: Track, dead: Track | None, robot: str, cfg: WheelCheck) 
     for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         way, at = 0.0, track.pose[first, :2]
         for place in track.pose[first + 1 : last + 1, :2]:
-            if (d := float(np.hypot(*(place - at)))) >= cfg.stand_step:
+            if (d := float(np.hypot(*(place - at)))) >= STAND_STEP:
                 way, at = way + d, place
-        if way >= cfg.stand:
+        if way >= WHEEL_STAND:
             whole += way
             stretches.append((float(track.t[first]), float(track.t[last])))
     if not stretches:
@@ -151,7 +155,7 @@ def wheels_stand(track: Track, dead: Track | None, robot: str, cfg: WheelCheck) 
     return (Finding("wheels-stand", robot, stretches[0], {"way": whole, "times": len(stretches)}),)
 
 
-def wheels_unlike(track: Track, dead: Track | None, robot: str, cfg: WheelCheck) -> tuple[Finding, ...]:
+def wheels_unlike(track: Track, dead: Track | None, robot: str) -> tuple[Finding, ...]:
     """A finding where the ways of scans and wheels are many times as long as each other, as in other units.
 
     dead: dead reckoning at the stamps of `track`. Both ways count in steps of `cfg.stand_step` of the trajectory.
@@ -160,16 +164,16 @@ def wheels_unlike(track: Track, dead: Track | None, robot: str, cfg: WheelCheck)
         return ()
     at, scans, wheels = 0, 0.0, 0.0
     for k in range(1, len(track.t)):
-        if (d := float(np.hypot(*(track.pose[k, :2] - track.pose[at, :2])))) >= cfg.stand_step:
+        if (d := float(np.hypot(*(track.pose[k, :2] - track.pose[at, :2])))) >= STAND_STEP:
             scans, wheels = scans + d, wheels + float(np.hypot(*(dead.pose[k, :2] - dead.pose[at, :2])))
             at = k
-    if scans < cfg.unlike_way or wheels <= STILL or 1 / cfg.unlike <= scans / wheels <= cfg.unlike:
+    if scans < UNLIKE_WAY or wheels <= STILL or 1 / WHEEL_UNLIKE <= scans / wheels <= WHEEL_UNLIKE:
         return ()
     return (Finding("wheels-unlike", robot, value=scans / wheels),)
 
 
 def wheels_leap(
-    t: Float[np.ndarray, " m"], scans: Sequence[Scan], robot: str, cfg: WheelCheck, *, segments: bool = False
+    t: Float[np.ndarray, " m"], scans: Sequence[Scan], robot: str, *, segments: bool = False
 ) -> tuple[Finding, ...]:
     """A finding where the pose that wheels tell leaps from one scan to the next: the widest such leap.
 
@@ -180,11 +184,11 @@ def wheels_leap(
     poses = np.array([scan.odometry for scan in scans], dtype=float)
     step, dt = se2.between(poses[:-1], poses[1:]), np.maximum(np.diff(t), 1e-9)
     way, turn = np.hypot(step[:, 0], step[:, 1]), np.abs(step[:, 2])
-    fast = [moved / dt > cfg.leap_speed * np.quantile(moved / dt, cfg.leap_others) for moved in (way, turn)]
-    leaps = ((way >= cfg.leap) & fast[0]) | ((turn >= cfg.leap_turn) & fast[1])
+    fast = [moved / dt > LEAP_SPEED * np.quantile(moved / dt, LEAP_OTHERS) for moved in (way, turn)]
+    leaps = ((way >= WHEEL_LEAP) & fast[0]) | ((turn >= LEAP_TURN) & fast[1])
     if not leaps.any():
         return ()
-    k = int(np.argmax(np.where(leaps, way / cfg.leap + turn / cfg.leap_turn, 0.0)))
+    k = int(np.argmax(np.where(leaps, way / WHEEL_LEAP + turn / LEAP_TURN, 0.0)))
     told = {"value": float(way[k]), "degrees": float(np.degrees(turn[k])), "times": int(leaps.sum())}
     span = (float(t[k]), float(t[k + 1]))
     if segments:
@@ -192,28 +196,17 @@ def wheels_leap(
     return (Finding("wheels-leap", robot, span, told, "the map goes on by the wheels"),)
 
 
-@config
-class JumpCheck:
-    """When one scan to the next shows another place: far fewer of its returns lie on walls known by then."""
-
-    drop: float = 0.4  # of the share of returns on known walls from one scan to the next, and
-    drop_per_m: float = 1.0  # so much more for a metre between the two and
-    drop_per_rad: float = 0.3  # for a radian of turn: new places come into view
-    least_returns: int = 30  # in either scan
-    late: int = 50  # scans, after which the first of a scanner belongs to another drive
-
-
-def jumps(records: ScanRecords, scans: Sequence[Scan], robot: str, cfg: JumpCheck) -> tuple[Finding, ...]:
+def jumps(records: ScanRecords, scans: Sequence[Scan], robot: str) -> tuple[Finding, ...]:
     """A finding for the first scan that shows little of what the one before it saw, and how many more there are."""
     if len(scans) < 3 or scans[0].odometry is None:
         return ()
     wheels = np.array([scan.odometry for scan in scans], dtype=float)
     share = records.matches / np.maximum(records.beams, 1)
-    before, after = _one_to_the_next(scans, cfg.late)
+    before, after = _one_to_the_next(scans, JUMP_LATE)
     step = se2.between(wheels[before], wheels[after])
     way = np.hypot(step[:, 0], step[:, 1])
-    enough = np.minimum(records.beams[before], records.beams[after]) >= cfg.least_returns
-    allowed = cfg.drop + cfg.drop_per_m * way + cfg.drop_per_rad * np.abs(step[:, 2])
+    enough = np.minimum(records.beams[before], records.beams[after]) >= JUMP_LEAST_RETURNS
+    allowed = JUMP_DROP + DROP_PER_M * way + DROP_PER_RAD * np.abs(step[:, 2])
     gone = np.flatnonzero(enough & (before > 0) & (share[before] - share[after] >= allowed))  # the first is its own map
     if not len(gone):
         return ()
@@ -245,28 +238,19 @@ def _one_to_the_next(scans: Sequence[Scan], late: int) -> tuple[Int[np.ndarray, 
     return before, after
 
 
-@config
-class CopyCheck:
-    """When two logs are taken for copies of one drive."""
-
-    least_returns: int = 30  # of a keyframe that is compared,
-    scans: int = 5  # that are equal, at least, and
-    share: float = 0.05  # of the keyframes of the robot that has fewer
-
-
-def copies_found(graphs: Sequence[RobotGraph], cfg: CopyCheck) -> list[Finding]:
+def copies_found(graphs: Sequence[RobotGraph]) -> list[Finding]:
     """A finding for each pair of robots of which keyframes have the same returns, to the last digit."""
-    seen = [_keyframes(graph, cfg) for graph in graphs]
+    seen = [_keyframes(graph) for graph in graphs]
     out = []
     for a, b in combinations(range(len(graphs)), 2):
         equal, fewer = len(seen[a] & seen[b]), min(len(seen[a]), len(seen[b]))
-        if equal >= max(cfg.scans, cfg.share * fewer):
+        if equal >= max(COPY_SCANS, COPY_SHARE * fewer):
             other = robot_name(graphs[a].robot)
             out.append(Finding("logs-alike", graphs[b].robot, value={"other": other, "same": equal, "all": fewer}))
     return out
 
 
-def _keyframes(graph: RobotGraph, cfg: CopyCheck) -> set[bytes]:
+def _keyframes(graph: RobotGraph) -> set[bytes]:
     """The returns of each keyframe, each told from all others."""
     pairs = zip(graph.start[:-1].tolist(), graph.start[1:].tolist(), strict=True)
-    return {graph.points[i:j].tobytes() for i, j in pairs if j - i >= cfg.least_returns}
+    return {graph.points[i:j].tobytes() for i, j in pairs if j - i >= COPY_LEAST_RETURNS}

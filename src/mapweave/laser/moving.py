@@ -12,30 +12,31 @@ from ..core.records import Scan, frozen
 from ..core.rows import spread
 from ..kernels.laser.moving import BeamRanges, Thing, moving_returns
 
+MOVING_EARLIER = 4  # earlier scans that are asked,
+LEAST_AGE = 0.4  # [s] so old at least and
+MOST_AGE = 2.5  # [s] at most; with none so old the latest that is older
+MOVING_JUMP = 0.12  # [m] + jump_share r: ranges of neighbouring beams that differ by less belong to one thing
+JUMP_SHARE = 0.03  # [m/m] the same, growing with range
+MOVING_AHEAD = 0.3  # [m] a thing stands before what is seen beside it
+MOVING_WIDEST = 1.2  # [m] a thing that moves
+MOVING_MARGIN = 0.25  # [m] beyond a place that a scan must see to have seen through it
+MOVING_SAME = 0.12  # [m] and less between ranges: the same thing
+MOVING_SLANT = 1.5  # times the range's change to the next beam: more of a margin for what is seen at a slant
+MOVING_VOTES = 2  # more earlier scans that say that a return moved than say the opposite
+LEAST_RUN = 3  # returns beside each other that seem to move, where they do not stand free
+MOVING_BESIDE = 2  # returns on either side of such a run that move with it, where their ranges go on
+MOVING_BLUR = 0.01  # [rad] the heading between scans may be wrong, and
+BLUR_SHARE = 0.2  # [rad/rad] so much more of what was turned between
+MOVING_ASTRAY = 0.006  # [rad] mean error of headings before matching from which on nothing is left out
+MOVING_FORGET = 0.97  # of that mean, a scan
+MOST_SHARE = 0.3  # of a scan's returns that may move: when more seem to, it is the robot's pose that is off
+
 
 @config
 class MovingConfig:
     """What counts as a thing that moves; see `kernels.laser.moving.moving_returns`."""
 
     leave_out: bool = True  # whether returns of things that move are left out of matching and of the map
-    earlier: int = 4  # earlier scans that are asked,
-    least_age: float = 0.4  # [s] so old at least and
-    most_age: float = 2.5  # [s] at most; with none so old the latest that is older
-    jump: float = 0.12  # [m] + jump_share r: ranges of neighbouring beams that differ by less belong to one thing
-    jump_share: float = 0.03  # [m/m] the same, growing with range
-    ahead: float = 0.3  # [m] a thing stands before what is seen beside it
-    widest: float = 1.2  # [m] a thing that moves
-    margin: float = 0.25  # [m] beyond a place that a scan must see to have seen through it
-    same: float = 0.12  # [m] and less between ranges: the same thing
-    slant: float = 1.5  # times the range's change to the next beam: more of a margin for what is seen at a slant
-    votes: int = 2  # more earlier scans that say that a return moved than say the opposite
-    least_run: int = 3  # returns beside each other that seem to move, where they do not stand free
-    beside: int = 2  # returns on either side of such a run that move with it, where their ranges go on
-    blur: float = 0.01  # [rad] the heading between scans may be wrong, and
-    blur_share: float = 0.2  # [rad/rad] so much more of what was turned between
-    astray: float = 0.006  # [rad] mean error of headings before matching from which on nothing is left out
-    forget: float = 0.97  # of that mean, a scan
-    most_share: float = 0.3  # of a scan's returns that may move: when more seem to, it is the robot's pose that is off
 
 
 class _Earlier(NamedTuple):
@@ -64,7 +65,6 @@ class MovingReturns:
 
     def cleaned(self, t: float, scan: Scan, pose: Float[np.ndarray, "3"]) -> Scan:
         """The scan without returns of things that move. pose: of the robot, as far as it is known before matching."""
-        c = self.cfg
         sensor = np.asarray(se2.compose(pose, scan.T_robot_sensor))
         now = _Earlier(t, scan.ranges, scan.hit, scan.angle_min, scan.angle_increment, scan.T_robot_sensor, sensor)
         self._latest, self._expected = scan.T_robot_sensor.tobytes(), np.asarray(pose)
@@ -73,10 +73,10 @@ class MovingReturns:
             held.clear()
         asked = self._asked(held, t)
         held.append(now)
-        while len(held) > 1 and held[1].t < t - c.most_age:
+        while len(held) > 1 and held[1].t < t - MOST_AGE:
             held.pop(0)
         self.total += int(scan.hit.sum())
-        if not asked or scan.angle_increment == 0.0 or self._astray > c.astray:
+        if not asked or scan.angle_increment == 0.0 or self._astray > MOVING_ASTRAY:
             return scan
         poses = np.array([se2.between(one.pose, sensor) for one in asked])
         moves = moving_returns(
@@ -90,11 +90,22 @@ class MovingReturns:
             np.array([one.ranges for one in asked]),
             np.array([one.hit for one in asked]),
             poses,
-            c.blur + c.blur_share * np.abs(poses[:, 2]),
-            Thing(c.jump, c.jump_share, c.ahead, c.widest, c.margin, c.same, c.slant, c.votes, c.least_run, c.beside),
+            MOVING_BLUR + BLUR_SHARE * np.abs(poses[:, 2]),
+            Thing(
+                MOVING_JUMP,
+                JUMP_SHARE,
+                MOVING_AHEAD,
+                MOVING_WIDEST,
+                MOVING_MARGIN,
+                MOVING_SAME,
+                MOVING_SLANT,
+                MOVING_VOTES,
+                LEAST_RUN,
+                MOVING_BESIDE,
+            ),
         )
         moving = int(moves.sum())
-        if not 0 < moving <= c.most_share * int(scan.hit.sum()):
+        if not 0 < moving <= MOST_SHARE * int(scan.hit.sum()):
             return scan
         self.count += moving
         return replace(scan, hit=frozen(scan.hit & ~moves, dtype=np.bool_))
@@ -103,15 +114,14 @@ class MovingReturns:
         """The latest scan was made from `pose`: later scans are held against it from there."""
         held = self._earlier.get(self._latest)
         miss = float(abs(se2.wrap_angle(pose[2] - self._expected[2])))
-        self._astray = self.cfg.forget * self._astray + (1.0 - self.cfg.forget) * miss
+        self._astray = MOVING_FORGET * self._astray + (1.0 - MOVING_FORGET) * miss
         if held:
             held[-1] = held[-1]._replace(pose=np.asarray(se2.compose(pose, held[-1].sensor)))
 
     def _asked(self, held: list[_Earlier], t: float) -> list[_Earlier]:
         """The earlier scans that are asked, spread over the ages allowed."""
-        c = self.cfg
-        old = [one for one in held if one.t <= t - c.least_age]
-        recent = [one for one in old if one.t >= t - c.most_age]
+        old = [one for one in held if one.t <= t - LEAST_AGE]
+        recent = [one for one in old if one.t >= t - MOST_AGE]
         if not recent:
             return old[-1:]
-        return [recent[k] for k in spread(len(recent), c.earlier)]
+        return [recent[k] for k in spread(len(recent), MOVING_EARLIER)]

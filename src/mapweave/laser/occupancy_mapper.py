@@ -13,6 +13,11 @@ from .beam import Beams, insertion_weight
 from .laser_map import GridMap
 from .robot_graph import RobotGraph
 
+LAYING_BESIDE = 0.15  # [m] of a wall seen from near: far returns are of that wall
+LAYING_CLEAR = 4.0  # so many beams through for each far return and a cell is free all the same
+LAYING_SHIFT = 0.5  # [cells] that a scan's pose must move before it is laid anew, or
+LAYING_TURN = float(np.radians(0.5))  # [rad] that it must turn
+
 MARGIN = 80  # cells the arrays grow by beyond what is needed
 EDGE = 2  # cells round the map that is handed over
 
@@ -50,10 +55,6 @@ class LayingConfig:
     """How scans are laid into a map that is kept up to date."""
 
     near: float = np.inf  # [m] a wall seen from within is not drawn again by returns from beyond
-    beside: float = 0.15  # [m] of a wall seen from near: far returns are of that wall
-    clear: float = 4.0  # so many beams through for each far return and a cell is free all the same
-    shift: float = 0.5  # [cells] that a scan's pose must move before it is laid anew, or
-    turn: float = float(np.radians(0.5))  # [rad] that it must turn
 
 
 AT_ONCE = LayingConfig()
@@ -113,8 +114,8 @@ class OccupancyMapper:
         """Every scan lies within `shift` and `turn` of its pose; returns how many were laid anew."""
         old = self.laid
         d = poses[: len(old)] - old
-        far = np.hypot(d[:, 0], d[:, 1]) > self.cfg.shift * self.resolution
-        shifted = np.flatnonzero(far | (np.abs(se2.wrap_angle(d[:, 2])) > self.cfg.turn))
+        far = np.hypot(d[:, 0], d[:, 1]) > LAYING_SHIFT * self.resolution
+        shifted = np.flatnonzero(far | (np.abs(se2.wrap_angle(d[:, 2])) > LAYING_TURN))
         for k in shifted.tolist():
             self._lay(scans[k], self.laid[k], -1)
         new = [*shifted.tolist(), *range(len(old), len(scans))]
@@ -141,8 +142,8 @@ class OccupancyMapper:
         window = np.s_[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
         hits, far, passes = (np.pad(a[window], EDGE) for a in (self.hits, self.far, self.passes))
         if far.any():
-            beside = widened(hits > 0, max(1, round(self.cfg.beside / h)))
-            again = beside & (far > 0) & (hits == 0) & (self.cfg.clear * far > passes)
+            beside = widened(hits > 0, max(1, round(LAYING_BESIDE / h)))
+            again = beside & (far > 0) & (hits == 0) & (LAYING_CLEAR * far > passes)
             hits = np.where(beside, hits, hits + far)
             passes[again] = 0
         low = self.corner + np.array([cols[0], rows[0]]) - EDGE

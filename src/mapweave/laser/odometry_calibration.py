@@ -24,6 +24,15 @@ from ..core.laser_log import LaserLog
 from ..core.records import Scan, Track, frozen
 from .beam import BeamConfig, beams
 
+ODOMETRY_CALIBRATION_SURE = 5.0  # standard errors that a value must be off by
+ODOMETRY_CALIBRATION_HELD = 0.25  # [m] by which a scale of ways moves the longest way that no walls tell, or
+ODOMETRY_CALIBRATION_SCALE = 0.15  # of the way, whatever the walls tell
+ODOMETRY_CALIBRATION_LAG = 0.2  # [s] between the clocks,
+LAG_WAY = 0.05  # [m] that a robot drives in the lag
+ODOMETRY_CALIBRATION_PLACE = 0.05  # [m] by which the scanner stands elsewhere than the log says,
+ODOMETRY_CALIBRATION_AHEAD = 0.15  # [m] ahead or behind of where a log says nothing: its poses are the scanner's then
+ODOMETRY_CALIBRATION_YAW = 0.05  # [rad] by which it is turned
+
 PARAMETERS = ("speed_scale", "turn_scale", "turn_per_m", "turn_per_s", "lag", "sensor_x", "sensor_y", "sensor_yaw")
 SPEED, TURN, PER_M, PER_S, LAG, X, Y, YAW = range(8)
 MOUNTING = [X, Y, YAW]
@@ -65,17 +74,9 @@ class OdometryCalibrationConfig:
     """
 
     apply: bool = True  # whether a log is mapped with what it tells
-    sure: float = 5.0  # standard errors that a value must be off by
-    held: float = 0.25  # [m] by which a scale of ways moves the longest way that no walls tell, or
-    scale: float = 0.15  # of the way, whatever the walls tell
     turn_scale: float = 0.2  # of a turn
     turn_per_m: float = 0.1  # [rad/m] of bias
     turn_per_s: float = 0.05  # [rad/s] of bias
-    lag: float = 0.2  # [s] between the clocks,
-    lag_way: float = 0.05  # [m] that a robot drives in the lag
-    place: float = 0.05  # [m] by which the scanner stands elsewhere than the log says,
-    ahead: float = 0.15  # [m] ahead or behind of where a log says nothing: its poses are the scanner's then
-    yaw: float = 0.05  # [rad] by which it is turned
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,11 +153,22 @@ class OdometryCalibration:
     def worth(self, cfg: OdometryCalibrationConfig, *, stated: bool) -> Bool[np.ndarray, "8"]:
         """(8,) which are surely off, and by so much that the map gains. stated: whether the log says a mounting."""
         off = np.abs(self.value - NOMINAL)
-        scale = min(cfg.scale, cfg.held / max(self.unheld, 1e-9))
-        lag = max(cfg.lag, cfg.lag_way / max(self.speed, 1e-9))
-        ahead = cfg.place if stated else cfg.ahead
-        least = np.array([scale, cfg.turn_scale, cfg.turn_per_m, cfg.turn_per_s, lag, ahead, cfg.place, cfg.yaw])
-        return np.asarray(self.observed & (off > cfg.sure * self.sd) & (off >= least))
+        scale = min(ODOMETRY_CALIBRATION_SCALE, ODOMETRY_CALIBRATION_HELD / max(self.unheld, 1e-9))
+        lag = max(ODOMETRY_CALIBRATION_LAG, LAG_WAY / max(self.speed, 1e-9))
+        ahead = ODOMETRY_CALIBRATION_PLACE if stated else ODOMETRY_CALIBRATION_AHEAD
+        least = np.array(
+            [
+                scale,
+                cfg.turn_scale,
+                cfg.turn_per_m,
+                cfg.turn_per_s,
+                lag,
+                ahead,
+                ODOMETRY_CALIBRATION_PLACE,
+                ODOMETRY_CALIBRATION_YAW,
+            ]
+        )
+        return np.asarray(self.observed & (off > ODOMETRY_CALIBRATION_SURE * self.sd) & (off >= least))
 
     def usual(self, mounting: Float[np.ndarray, "3"]) -> "OdometryCalibration":
         """With values of what is applied that are usual, where they are within `USUAL` standard errors of these.

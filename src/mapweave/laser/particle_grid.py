@@ -11,6 +11,9 @@ from ..kernels.laser import tile_writing, tiles
 from ..kernels.laser.tiles import TileBooks, TileMaps
 from ..kernels.laser.windows import NearestRule, score
 
+MOST_WEIGHT = 30.0  # W is capped, so that a map can still change
+CELL_CAP = 0.04  # [m^2] greatest D a beam is charged
+
 Rows = Int[np.ndarray, " p"]
 Poses = Float[np.ndarray, "p 3"]
 NOTHING = np.zeros(0, np.float32)
@@ -29,8 +32,6 @@ def growing_memory(size: int) -> mmap.mmap | None:
 class CellConfig:
     size: float = 0.1  # cell [m]
     alpha: float = 1.0  # [m^2 per q^2] what a difference in the feature counts
-    most_weight: float = 30.0  # W is capped, so that a map can still change
-    cap: float = 0.04  # [m^2] greatest D a beam is charged
 
 
 class ParticleGrid:
@@ -84,7 +85,7 @@ class ParticleGrid:
     def score(self, rows: Rows, poses: Poses, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "p n"]:
         """Least D of each beam in each map, at most `cap`; (P, n) float32."""
         out = np.empty((len(poses), len(points)), np.float32)
-        score(self.tile_maps, rows, poses, points, NearestRule(self.cfg.alpha, self.cfg.cap), out)
+        score(self.tile_maps, rows, poses, points, NearestRule(self.cfg.alpha, CELL_CAP), out)
         return out
 
     def insert(
@@ -106,7 +107,7 @@ class ParticleGrid:
             elif not done:
                 self.used = np.pad(self.used, ((0, 0), (0, self.used.shape[1])))
         tiles.copy_tiles(self.pool, self.jobs, jobs)
-        tile_writing.insert(self.pool, places, poses, points, weights, self.cfg.most_weight)
+        tile_writing.insert(self.pool, places, poses, points, weights, MOST_WEIGHT)
 
     def resample(self, ancestors: Rows) -> None:
         """Map i becomes a copy of map ancestors[i]; who is an ancestor stays in its own place."""

@@ -15,9 +15,23 @@ from ..kernels.laser.refine import ScanCost, refine
 from ..kernels.laser.resample import systematic
 from ..kernels.laser.windows import NearestRule
 from .beam import STEERING, Beams, IntensityCalibration, beams
-from .config import FilterConfig, LaserTrackingConfig
-from .particle_grid import ParticleGrid
+from .config import (
+    FILTER_SHARED,
+    FILTER_SIGMA,
+    PAPER_SIGMA2,
+    REFINE_BARE_TANGENT,
+    REFINE_KAPPA,
+    REFINE_NEFF,
+    REFINE_SD_TURN,
+    REFINE_SD_XY,
+    REFINE_SIGMA,
+    FilterConfig,
+    LaserTrackingConfig,
+)
+from .particle_grid import CELL_CAP, ParticleGrid
 from .scan_odometry import PoseEstimate, ScanInfo, ScanOdometry, blended
+
+RAW_ALPHA = 0.1  # [m^2 per q^2] what raw intensity counts, which range changes too
 
 
 @dataclass(slots=True)
@@ -53,7 +67,7 @@ def init(
     matching = cfg.filter.proposal == "front end"
     gate = cfg.eps if gated else None
     odometry = ScanOdometry(cfg.front_end, feature=feature, gate=gate, matching=matching)
-    cells = replace(cfg.cells, alpha=cfg.raw_alpha) if feature == "raw" else cfg.cells
+    cells = replace(cfg.cells, alpha=RAW_ALPHA) if feature == "raw" else cfg.cells
     zero = np.zeros(P)
     return ParticleState(odometry, ParticleGrid(P, cells), np.zeros((P, 3)), zero, zero, feature, calibration)
 
@@ -163,18 +177,18 @@ def log_likelihood(
     `matched`: the mean over the beams that at least half of the particles match, so that losing matches never pays.
     `paper`: -d^2 / (2 sigma_z^2) # [Hara07] eq. 8 with d the mean D of a particle's own matches # [Hara07] eq. 9.
     """
-    f, cap = cfg.filter, cfg.cells.cap
+    f, cap = cfg.filter, CELL_CAP
     neff = f.neff if feature in STEERING else f.bare_neff
     matched = np.float32(cap) > D
     if cfg.likelihood == "paper":
         n = matched.sum(axis=1)
         d = np.where(matched, D, 0.0).sum(axis=1, dtype=float) / np.maximum(n, 1)
-        return np.where(n > 0, -(d**2) / (2 * f.paper_sigma2**2), -(cap**2) / (2 * f.paper_sigma2**2)), int(n.max())
-    shared = matched.sum(axis=0) >= f.shared * len(D)
+        return np.where(n > 0, -(d**2) / (2 * PAPER_SIGMA2**2), -(cap**2) / (2 * PAPER_SIGMA2**2)), int(n.max())
+    shared = matched.sum(axis=0) >= FILTER_SHARED * len(D)
     count = int(shared.sum())
     if not count:
         return np.zeros(len(D)), 0
-    return -neff / (2 * f.sigma**2) * D[:, shared].mean(axis=1, dtype=float), count
+    return -neff / (2 * FILTER_SIGMA**2) * D[:, shared].mean(axis=1, dtype=float), count
 
 
 def effective(log_weight: Float[np.ndarray, " p"]) -> tuple[Float[np.ndarray, " p"], float]:
@@ -189,7 +203,7 @@ def _refined(
     """Refined poses, and the least D of every beam there, which a single particle has no use for."""
     m = state.maps
     least = np.empty((len(m) if len(m) > 1 else 0, len(points)), np.float32)
-    prior = np.diag([f.refine_sd_xy**-2.0, f.refine_sd_xy**-2.0, f.refine_sd_turn**-2.0])
+    prior = np.diag([REFINE_SD_XY**-2.0, REFINE_SD_XY**-2.0, REFINE_SD_TURN**-2.0])
     steers = state.feature in STEERING
     poses = refine(
         m.tile_maps,
@@ -197,11 +211,11 @@ def _refined(
         state.poses,
         points,
         b.normal,
-        NearestRule(m.cfg.alpha if steers else 0.0, m.cfg.cap),
+        NearestRule(m.cfg.alpha if steers else 0.0, CELL_CAP),
         ScanCost(
-            f.refine_neff / f.refine_sigma**2,
-            f.refine_tangent if steers else f.refine_bare_tangent,
-            f.refine_kappa,
+            REFINE_NEFF / REFINE_SIGMA**2,
+            f.refine_tangent if steers else REFINE_BARE_TANGENT,
+            REFINE_KAPPA,
         ),
         prior,
         f.refine_iterations,

@@ -22,6 +22,12 @@ from ..solve.problem import Kernel
 from .left_out import left_out_squares, without_it
 from .pose_graph import PoseEdges, PoseGraph
 
+ROBUST_GRAPH_KERNEL = 2.0  # [sd] width of the Cauchy cost
+ROBUST_GRAPH_GROWTH = 1.4  # of the control parameter, a round
+ROBUST_GRAPH_TAILS = 10.0  # times the scatter told by the middle edge, which real edges' tails may exceed,
+ROBUST_GRAPH_NARROWEST = 0.1  # of what edges say of themselves at least, and
+ROBUST_GRAPH_ENOUGH = 30  # edges for the middle one to tell anything
+
 REVISIONS = 60  # solves at most, while edges that were dropped fit again or ones that are believed do not
 SAME = 1e-6  # relative difference of the costs of two minima that are the same
 FADED = 1e-8  # what a dropped edge counts while weights are sought: the graph stays in one piece
@@ -36,14 +42,9 @@ class RobustGraphConfig:
     """
 
     method: Literal["none", "cauchy", "gnc"] = "gnc"
-    kernel: float = 2.0  # [sd] width of the Cauchy cost
     gate: float = 16.27  # squared sd (3 degrees of freedom, 0.1 %) beyond which an edge contradicts
-    growth: float = 1.4  # of the control parameter, a round
     most_rounds: int = 80
     chance: float = 1e-3  # that one edge of a graph without false ones lies so far from the others
-    tails: float = 10.0  # times the scatter told by the middle edge, which real edges' tails may exceed,
-    narrowest: float = 0.1  # of what edges say of themselves at least, and
-    enough: int = 30  # edges for the middle one to tell anything
     solve: SolveConfig = SolveConfig(max_iterations=100, step_tolerance=1e-7, cost_tolerance=1e-9)
 
 
@@ -195,7 +196,7 @@ def _believed(
     _, held = _components(graph, np.ones(graph.edges, dtype=bool), held, priors)
     weight = np.ones(graph.edges)
     if cfg.method == "cauchy":
-        problem = _problem(graph, weight, held, priors, Cauchy(cfg.kernel), may)
+        problem = _problem(graph, weight, held, priors, Cauchy(ROBUST_GRAPH_KERNEL), may)
         solution = minimise(problem, cfg.solve, Pattern.of(problem).in_threes())
         pose = solution.x.reshape(-1, 3)
         beyond = may & (_squares(replace(graph, pose=pose)) > cfg.gate)
@@ -215,7 +216,7 @@ def _believed(
             control = cfg.gate / (2.0 * worst - cfg.gate)  # [Yang20] remark 5
         high = (control + 1.0) / control * cfg.gate
         weight = np.where(may, truncated_weights(s, cfg.gate, control), 1.0)
-        control *= cfg.growth
+        control *= ROBUST_GRAPH_GROWTH
         if ((weight > 1.0 - 1e-6) | (weight <= FADED)).all() and high < 1.05 * cfg.gate:
             break
     s = _squares(replace(graph, pose=pose))
@@ -234,7 +235,9 @@ def _worst(graph: PoseGraph, solution: Solution, asked: np.ndarray, cfg: RobustG
     nis = left_out_squares(graph, solution, rows)
     worst = int(np.argmax(nis))
     scatter = float(np.median(nis)) / chi2_quantile(0.5, 3.0)
-    narrower = min(1.0, max(cfg.tails * scatter, cfg.narrowest)) if len(rows) >= cfg.enough else 1.0
+    narrower = (
+        min(1.0, max(ROBUST_GRAPH_TAILS * scatter, ROBUST_GRAPH_NARROWEST)) if len(rows) >= ROBUST_GRAPH_ENOUGH else 1.0
+    )
     limit = chi2_quantile(1.0 - cfg.chance / len(rows), 3.0) * narrower
     return int(rows[worst]) if nis[worst] > limit else None
 

@@ -17,53 +17,54 @@ from ..core.errors import ConfigError
 from ..kernels.laser.local_map import MatchCost, ScanPoints, add_points, align_scan, count_matches, fit_lines
 from .beam import Beams
 
+FRONT_END_COARSE = 0.2  # cell [m] of the first iterations
+FRONT_END_FINE = 0.1  # cell [m] of the last ones
+COARSE_ITERATIONS = 8  # Gauss-Newton steps on the coarse level
+FINE_ITERATIONS = 12  # and on the fine level
+COARSE_KAPPA = 0.15  # [m] width of the robust kernel
+FRONT_END_KAPPA = 0.1  # [m] the same on the fine level
+KEYFRAME_DISTANCE = 0.4  # [m] driven and
+FRONT_END_SIGMA = 0.02  # [m] of each
+BARE_TANGENT = 0.03  # without: a bare wall is alike all along
+WIDE_SEARCH = 0.3  # [rad] rotations tried to either side when under wide_under of the returns match,
+WIDE_SD = 2.0  # and as far as so many standard deviations of the turn, where that is farther
+WIDE_STEP = 0.03  # [rad] between the rotations tried
+WIDE_REACH = 0.1  # [m] a return this near its line counts there, on the coarse level
+WIDE_TRIES = 3  # of them, those that most returns match are refined,
+WIDE_TURN = 0.15  # [rad] standard deviation of the turn there, at least
+WIDE_UNDER = 0.65  # share of returns matched under which rotations are tried
+FRONT_END_REACH = 0.1  # [m] a return this near its line counts as matched
+LEAST_SHARE = 0.25  # share of the returns that must match, or odometry is taken
+GYRO_SCALE = 0.03  # and so much more a radian turned
+ALONE_SEARCH = 1.3  # [rad] turns tried to either side of such a robot's last heading
+ALONE_TRIES = 5  # of them, those that most returns match are refined,
+ALONE_APART = 2.5  # times `wide_step` apart from each other at least
+ALONE_LOSS = 0.04  # share of the returns that a change of its motion must win: so much times
+ALONE_STEADY = 0.1  # ln(1 + (change of the step / this [m])^2 + (change of the turn / the next)^2)
+ALONE_STEADY_TURN = 0.15  # [rad] change of the turn that weighs as much
+STILL_XY = 0.1  # [m] a robot must leave its place, or
+STILL_TURN = 0.1  # [rad] turn, while its wheels report no motion, before they are not believed
+
 
 @config
 class FrontEndConfig:
     matcher: str = "lines"  # how scans are matched: lines, or what is plugged in as one of `mapweave.matchers`
     size: int = 1024  # cells a side of either level, a power of two; the fine one must hold the whole local map
-    coarse: float = 0.2  # cell [m] of the first iterations
-    fine: float = 0.1  # cell [m] of the last ones
-    coarse_iterations: int = 8  # Gauss-Newton steps on the coarse level
-    fine_iterations: int = 12  # and on the fine level
-    coarse_kappa: float = 0.15  # [m] width of the robust kernel
-    kappa: float = 0.1  # [m] the same on the fine level
     keyframes: int = 60  # scans the local map holds
-    keyframe_distance: float = 0.4  # [m] driven and
-    keyframe_turn: float = 0.4  # [rad]: a new keyframe beyond either
+    keyframe_turn: float = 0.4  # [rad] beyond which a keyframe is new, whatever was driven
     alpha: float = 1.0  # [m^2 per q^2] what a difference in the feature counts
     agree: float = 0.5  # least cosine between a beam's normal and its cell's
     neff: float = 60.0  # a scan counts as so many independent returns
-    sigma: float = 0.02  # [m] of each
-    tangent: float = 0.1  # weight of the error along the line, with a feature and
-    bare_tangent: float = 0.03  # without: a bare wall is alike all along
+    tangent: float = 0.1  # weight of the error along the line, with a feature
+    least_beams: int = 10  # scans with fewer returns are not matched
     sd_xy: float = 0.03  # [m] + sd_xy_per_m d: how far odometry may err in a step
     sd_xy_per_m: float = 0.3  # and so much more a metre driven
     sd_turn: float = 0.03  # [rad] + sd_turn_per_m d + sd_turn_per_rad |turn|
     sd_turn_per_m: float = 0.15  # [rad] and so much more a metre driven
     sd_turn_per_rad: float = 0.6  # and so much more a radian turned
-    wide_search: float = 0.3  # [rad] rotations tried to either side when under wide_under of the returns match,
-    wide_sd: float = 2.0  # and as far as so many standard deviations of the turn, where that is farther
-    wide_step: float = 0.03  # [rad] between the rotations tried
-    wide_reach: float = 0.1  # [m] a return this near its line counts there, on the coarse level
-    wide_tries: int = 3  # of them, those that most returns match are refined,
-    wide_turn: float = 0.15  # [rad] standard deviation of the turn there, at least
-    wide_under: float = 0.65  # share of returns matched under which rotations are tried
-    reach: float = 0.1  # [m] a return this near its line counts as matched
-    least_beams: int = 10  # scans with fewer returns are not matched
-    least_share: float = 0.25  # share of the returns that must match, or odometry is taken
     alone_xy: float = 0.25  # [m] a robot without odometry may move in a step, one sigma, and
     alone_turn: float = 0.35  # [rad] turn
-    gyro_turn: float = 0.02  # [rad] by which the turn of a gyroscope may err in a step, one sigma,
-    gyro_scale: float = 0.03  # and so much more a radian turned
-    alone_search: float = 1.3  # [rad] turns tried to either side of such a robot's last heading
-    alone_tries: int = 5  # of them, those that most returns match are refined,
-    alone_apart: float = 2.5  # times `wide_step` apart from each other at least
-    alone_loss: float = 0.04  # share of the returns that a change of its motion must win: so much times
-    alone_steady: float = 0.1  # ln(1 + (change of the step / this [m])^2 + (change of the turn / the next)^2)
-    alone_steady_turn: float = 0.15  # [rad] change of the turn that weighs as much
-    still_xy: float = 0.1  # [m] a robot must leave its place, or
-    still_turn: float = 0.1  # [rad] turn, while its wheels report no motion, before they are not believed
+    gyro_turn: float = 0.02  # [rad] by which the turn of a gyroscope may err in a step, one sigma
 
 
 def allowed_sd(u: Float[np.ndarray, "3"], c: FrontEndConfig) -> Float[np.ndarray, "3"]:
@@ -101,21 +102,21 @@ class FrontEnd:
 
     def match(self, b: Beams, predicted: Float[np.ndarray, "3"], sd: Float[np.ndarray, "3"]) -> ScanMatch:
         """Where the scan fits, given where odometry says; the map is not touched."""
-        c = self.cfg
         n = len(b.q)
         pose, H, _ = self._refine(b, predicted, predicted, sd)
-        matches = self._count(self.fine, c.fine, b, pose, c.reach)
-        if n and matches < c.wide_under * n:
-            far = min(max(c.wide_search, c.wide_sd * float(sd[2])), np.pi)
-            turns = np.arange(-far, far + 1e-9, c.wide_step)
+        matches = self._count(self.fine, FRONT_END_FINE, b, pose, FRONT_END_REACH)
+        if n and matches < WIDE_UNDER * n:
+            far = min(max(WIDE_SEARCH, WIDE_SD * float(sd[2])), np.pi)
+            turns = np.arange(-far, far + 1e-9, WIDE_STEP)
             scores = [
-                self._count(self.coarse, c.coarse, b, predicted + np.array([0, 0, a]), c.wide_reach) for a in turns
+                self._count(self.coarse, FRONT_END_COARSE, b, predicted + np.array([0, 0, a]), WIDE_REACH)
+                for a in turns
             ]
-            for k in np.argsort(scores, kind="stable")[::-1][: c.wide_tries]:
+            for k in np.argsort(scores, kind="stable")[::-1][:WIDE_TRIES]:
                 tried = self._refine(
-                    b, predicted + np.array([0, 0, turns[k]]), predicted, np.maximum(sd, [0, 0, c.wide_turn])
+                    b, predicted + np.array([0, 0, turns[k]]), predicted, np.maximum(sd, [0, 0, WIDE_TURN])
                 )
-                count = self._count(self.fine, c.fine, b, tried[0], c.reach)
+                count = self._count(self.fine, FRONT_END_FINE, b, tried[0], FRONT_END_REACH)
                 if count > matches:
                     (pose, H, _), matches = tried, count
         return ScanMatch(pose, H, se2.between(predicted, pose), matches, n)
@@ -135,24 +136,24 @@ class FrontEnd:
         on = np.asarray(se2.compose(last, step))
         known = bool(sd[2] < c.alone_turn)
         last = np.array([*last[:2], on[2]]) if known else last
-        far = min(3.0 * float(sd[2]) if known else c.alone_search, np.pi)
-        turns = np.arange(-far, far + 1e-9, c.wide_step)
+        far = min(3.0 * float(sd[2]) if known else ALONE_SEARCH, np.pi)
+        turns = np.arange(-far, far + 1e-9, WIDE_STEP)
         at = np.array([[*place[:2], last[2] + a] for place in (on, last) for a in turns])
-        scores = np.array([self._count(self.coarse, c.coarse, b, pose, c.reach) for pose in at])
+        scores = np.array([self._count(self.coarse, FRONT_END_COARSE, b, pose, FRONT_END_REACH) for pose in at])
         starts = [on, last]
         for k in np.argsort(-scores, kind="stable").tolist():
-            if len(starts) >= 2 + c.alone_tries:
+            if len(starts) >= 2 + ALONE_TRIES:
                 break
-            if all(abs(se2.wrap_angle(at[k, 2] - s[2])) > c.alone_apart * c.wide_step for s in starts):
+            if all(abs(se2.wrap_angle(at[k, 2] - s[2])) > ALONE_APART * WIDE_STEP for s in starts):
                 starts.append(at[k])
         matches = []
         for start in starts:
             pose, H, _ = self._refine(b, start, start, sd)
-            count = self._count(self.fine, c.fine, b, pose, c.reach)
+            count = self._count(self.fine, FRONT_END_FINE, b, pose, FRONT_END_REACH)
             change = se2.between(on, pose)
             turned = min(abs(float(change[2])), abs(float(se2.wrap_angle(pose[2] - last[2]))))
-            away = float(np.hypot(change[0], change[1])) / c.alone_steady
-            cost = c.alone_loss * n * np.log1p(away**2 + (turned / c.alone_steady_turn) ** 2)
+            away = float(np.hypot(change[0], change[1])) / ALONE_STEADY
+            cost = ALONE_LOSS * n * np.log1p(away**2 + (turned / ALONE_STEADY_TURN) ** 2)
             matches.append((count - cost, ScanMatch(pose, H, change, count, n)))
         return max(matches, key=lambda one: one[0])[1]
 
@@ -161,7 +162,7 @@ class FrontEnd:
         c = self.cfg
         if self.last_keyframe is not None:
             d = se2.between(self.last_keyframe, pose)
-            if np.hypot(d[0], d[1]) < c.keyframe_distance and abs(d[2]) < c.keyframe_turn:
+            if np.hypot(d[0], d[1]) < KEYFRAME_DISTANCE and abs(d[2]) < c.keyframe_turn:
                 return False
         self.last_keyframe = np.array(pose, float)
         frame = (se2.act(pose, b.s), b.normal @ se2.rotation(float(pose[2])).T, b.q)
@@ -192,9 +193,9 @@ class FrontEnd:
         held = np.array([0.01, 0.01, 0.001])
         _, H, _ = align_scan(
             self.fine,
-            c.fine,
+            FRONT_END_FINE,
             ScanPoints(b.s, b.normal, b.q),
-            MatchCost(c.alpha, c.agree, c.neff / c.sigma**2, 0.0, c.kappa),
+            MatchCost(c.alpha, c.agree, c.neff / FRONT_END_SIGMA**2, 0.0, FRONT_END_KAPPA),
             pose,
             pose,
             held,
@@ -204,7 +205,7 @@ class FrontEnd:
 
     def _put(self, frame: tuple[np.ndarray, np.ndarray, np.ndarray], sign: float) -> None:
         points, normals, q = (np.ascontiguousarray(a) for a in frame)
-        for sums, lines, cell in zip(self.sums, self.lines, (self.cfg.fine, self.cfg.coarse), strict=True):
+        for sums, lines, cell in zip(self.sums, self.lines, (FRONT_END_FINE, FRONT_END_COARSE), strict=True):
             add_points(sums, cell, points, normals, q, sign)
             fit_lines(sums, lines, cell, points)
 
@@ -213,10 +214,10 @@ class FrontEnd:
     ) -> tuple[np.ndarray, np.ndarray, float]:
         c = self.cfg
         scan = ScanPoints(b.s, b.normal, b.q)
-        fine = MatchCost(c.alpha, c.agree, c.neff / c.sigma**2, self.tangent, c.kappa)
-        coarse = fine._replace(kappa=c.coarse_kappa)
-        pose, _, _ = align_scan(self.coarse, c.coarse, scan, coarse, start, predicted, sd, c.coarse_iterations)
-        pose, H, cost = align_scan(self.fine, c.fine, scan, fine, pose, predicted, sd, c.fine_iterations)
+        fine = MatchCost(c.alpha, c.agree, c.neff / FRONT_END_SIGMA**2, self.tangent, FRONT_END_KAPPA)
+        coarse = fine._replace(kappa=COARSE_KAPPA)
+        pose, _, _ = align_scan(self.coarse, FRONT_END_COARSE, scan, coarse, start, predicted, sd, COARSE_ITERATIONS)
+        pose, H, cost = align_scan(self.fine, FRONT_END_FINE, scan, fine, pose, predicted, sd, FINE_ITERATIONS)
         pose[2] = se2.wrap_angle(pose[2])
         return pose, H, cost
 

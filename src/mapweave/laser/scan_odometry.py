@@ -15,7 +15,15 @@ from ..core.plugins import Matcher, plugged_in
 from ..core.records import Scan
 from ..core.rows import RowBuffer
 from .beam import STEERING, Beams
-from .scan_matching import FrontEndConfig, allowed_sd
+from .scan_matching import (
+    BARE_TANGENT,
+    GYRO_SCALE,
+    LEAST_SHARE,
+    STILL_TURN,
+    STILL_XY,
+    FrontEndConfig,
+    allowed_sd,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +124,7 @@ class ScanOdometry:
         steers = feature in STEERING
         self.cfg = cfg if steers else replace(cfg, alpha=0.0)
         self.gate, self.matching, self.tell_lines = gate, matching, tell_lines
-        self.tangent = cfg.tangent if steers else cfg.bare_tangent
+        self.tangent = cfg.tangent if steers else BARE_TANGENT
         self._matcher: Callable[[FrontEndConfig, float], Matcher] = plugged_in(
             "matchers", self.cfg.matcher, "front_end.matcher"
         )
@@ -144,7 +152,7 @@ class ScanOdometry:
             way = se2.rotation(0.5 * (turn - float(self.step[2]))) @ self.step[:2]
             return Increment(
                 np.array([*way, turn]),
-                np.array([*sd[:2], self.cfg.gyro_turn + self.cfg.gyro_scale * abs(turn)]),
+                np.array([*sd[:2], self.cfg.gyro_turn + GYRO_SCALE * abs(turn)]),
                 alone=True,
             )
         u = np.zeros(3) if self.odometry is None else se2.between(self.odometry, odometry)
@@ -161,7 +169,7 @@ class ScanOdometry:
         if self._stood is None:
             return False
         away = se2.between(self._stood, self.pose)
-        return bool(np.hypot(away[0], away[1]) > self.cfg.still_xy or abs(away[2]) > self.cfg.still_turn)
+        return bool(np.hypot(away[0], away[1]) > STILL_XY or abs(away[2]) > STILL_TURN)
 
     def advance(self, scan: Scan, b: Beams, *, leapt: bool = False) -> ScanInfo:
         """`poses` has one more: where the robot was at the scan. leapt: its odometry was set anew, tells nothing."""
@@ -185,7 +193,7 @@ class ScanOdometry:
             if fe is None:
                 break
             match = fe.match_alone(b, self.pose, u, sd) if alone else fe.match(b, predicted, sd)
-            accepted = match.matches >= self.cfg.least_share * match.beams
+            accepted = match.matches >= LEAST_SHARE * match.beams
             if accepted:
                 self.front_end = fe
                 break

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from ..core import se2
 from ..core.errors import EstimateError
 from ..kernels.laser.scan_laying import CellCounts, lay_scan
-from ..laser.occupancy_mapper import AT_ONCE
+from ..laser.occupancy_mapper import LAYING_SHIFT, LAYING_TURN
 from .driven import Seen
 from .tiles import COARSER, LEVELS, SIDE, Cells, cells_of, coarser, pack
 
@@ -72,8 +72,8 @@ class TileMapper:
             old = self._aligned(robot, ids, seen)
             d = pose - old
             new = np.isnan(d[:, 0])
-            far = np.hypot(d[:, 0], d[:, 1]) > AT_ONCE.shift * self.resolution
-            turned = np.abs(se2.wrap_angle(np.where(new, 0.0, d[:, 2]))) > AT_ONCE.turn
+            far = np.hypot(d[:, 0], d[:, 1]) > LAYING_SHIFT * self.resolution
+            turned = np.abs(se2.wrap_angle(np.where(new, 0.0, d[:, 2]))) > LAYING_TURN
             fresh += [(robot, int(k)) for k in np.flatnonzero(new)]
             shifted += [(robot, int(k)) for k in np.flatnonzero(far | turned)[::-1]]
         off = [*fresh, *shifted]

@@ -19,7 +19,7 @@ from ..core.rows import RowBuffer
 from ..core.workers import Progress, no_progress
 from ..laser import particle_slam
 from ..laser.beam import STEERING, Beams, IntensityCalibration, beams
-from ..laser.joint_pass import joint_pass, lay_scans, neighbours, scan_cloud
+from ..laser.joint_pass import JOINT_PASS_BEAMS, SCAN_AROUND, SCAN_BEAMS, joint_pass, lay_scans, neighbours, scan_cloud
 from ..laser.keyframes import Keyframe, KeyframeMaker, KeyframeOdometry, carried
 from ..laser.particle_slam import ParticleState
 from ..laser.robot_graph import RobotGraph
@@ -211,11 +211,11 @@ def _laid(state: GraphState, cfg: LaserConfig, first: int, last: int) -> Float[n
     graph, joint = state.graph, cfg.graph.joint
     rows, own = np.array(state.keyframes), np.arange(first, last + 1)
     pose, old = graph.pose[own], graph.pose[:first]
-    near = np.unique(neighbours(pose, old, joint.scan_around, joint))
+    near = np.unique(neighbours(pose, old, SCAN_AROUND))
     near = near[near >= 0]
     old_cloud, cloud = (
         scan_cloud([graph.nodes[k].beams for k in at], np.array([state.sensors[k] for k in rows[at]]), most)
-        for at, most in ((near, joint.beams), (own, joint.scan_beams))
+        for at, most in ((near, JOINT_PASS_BEAMS), (own, SCAN_BEAMS))
     )
     return lay_scans(pose, cloud, old[near], old_cloud, np.full(len(own), -1, np.int64), joint)
 
@@ -271,7 +271,7 @@ def finalise(state: GraphState, cfg: LaserConfig, on_progress: Progress = no_pro
     pose = graph.pose
     if cfg.graph.last_pass:
         on_progress("last pass", 0, 2)
-        cloud = scan_cloud([state.scans[k] for k in rows], sensors[rows], joint.beams)
+        cloud = scan_cloud([state.scans[k] for k in rows], sensors[rows], JOINT_PASS_BEAMS)
         pose = joint_pass(steps, cloud, joint, closed)
         on_progress("last pass", 1, 2)
     robot = _robot_graph(grown, pose, cov, sensors[rows], cfg.graph.unsure)
@@ -283,7 +283,7 @@ def finalise(state: GraphState, cfg: LaserConfig, on_progress: Progress = no_pro
         own = np.full(len(local), -1, np.int64)
         own[rows] = np.arange(len(rows))
         there = np.flatnonzero([scan is not GONE for scan in state.scans])
-        scans = scan_cloud([state.scans[k] for k in there], sensors[there], joint.scan_beams)
+        scans = scan_cloud([state.scans[k] for k in there], sensors[there], SCAN_BEAMS)
         poses[there] = lay_scans(poses[there], scans, pose, cloud, own[there], joint)
         on_progress("last pass", 2, 2)
     return GraphEstimate(poses, robot)

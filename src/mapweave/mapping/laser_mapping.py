@@ -18,8 +18,8 @@ from ..core.findings import Finding, of_robot
 from ..core.laser_log import LaserLog
 from ..core.records import Scan, Track
 from ..core.workers import Progress, no_progress
-from ..laser.beam import STEERING, Beams, beams, calibrated, measured, raw_scale
-from ..laser.config import Feature, MomentConfig
+from ..laser.beam import CALIBRATION_WINDOW, MOST_RESIDUAL, STEERING, Beams, beams, calibrated, measured, raw_scale
+from ..laser.config import Feature
 from ..laser.laser_map import LaserMap, ScanInfos
 from ..laser.light_worth import apart, worth
 from ..laser.log_warnings import (
@@ -48,6 +48,11 @@ from .config import LaserConfig
 from .map_overlap import seen_through
 from .segments import LONG, bridged, held_over, segment_findings
 from .session import LaserSession
+
+MOMENT_WITHIN = 0.002  # [s] in which a robot hardly moves
+MOMENT_APART = 0.02  # [m] by which such rows contradict each other
+MOMENT_TURNED = 0.05  # [rad] the same of headings
+SCAN_COUNTS = 2  # rows of odometry that a scan's pose, which was matched, outweighs
 
 FEW = 10  # scans: a log of fewer makes no map that could contradict itself
 REMADE = 2  # times that a map is made anew at most, with what the one before tells of wheels and mounting
@@ -128,10 +133,10 @@ def _calibrated(returns: Sequence[Beams], way: tuple[list[int], Float[np.ndarray
     if found is None:
         return Feature("none", None, (Finding("light-unused", value="no place was seen twice to calibrate it"),))
     calibration = found.whole
-    if calibration.residual > cfg.calibration.most_residual:
+    if calibration.residual > MOST_RESIDUAL:
         why = f"it does not follow range and incidence (residual {calibration.residual:.2f} in log units)"
         return Feature("none", calibration, (Finding("light-unused", value=why),))
-    told = worth(scans, poses, found.halves, cfg.calibration.window)
+    told = worth(scans, poses, found.halves, CALIBRATION_WINDOW)
     calibration = replace(calibration, information=told.information)
     if told.information <= 0:
         return Feature("none", calibration, (Finding("light-unused", value=told.why),))
@@ -155,7 +160,7 @@ def finish(
 ) -> LaserMap:
     """The result from the poses at every scan: poses at every stamp, the records, the grid. graph: in their frame."""
     frame = f"local_{log.robot}"
-    track, dead, unclear = _tracks(log, poses, frame, cfg.moment)
+    track, dead, unclear = _tracks(log, poses, frame)
     shift = se2.inverse(_first(log, poses))
     if graph is not None:
         graph = replace(graph.moved(shift), source=log.source, log_hash=log.log_hash)
@@ -340,17 +345,16 @@ def map_session(
     timed = not any(found.code in {"stamps-none", "stamps-equal"} for found in log.findings)
     heading = np.unwrap(result.scans.pose[:, 2])
     lag = stamp_lag(log.scan_t, heading, clean.odometry, session.cfg.lag) if timed else None
-    wheels = session.cfg.wheels
     disagreement = (
-        *lag_found(lag, robot, session.cfg.lag),
-        *_placed_again(jumps(result.scans, log.scans, robot, session.cfg.jump), graph),
-        *wheels_disagree(track, dead, robot, wheels, agreement.factor(motion)),
-        *wheels_stand(track, dead, robot, wheels),
-        *wheels_leap(log.scan_t, log.scans, robot, wheels, segments=graph is not None),
+        *lag_found(lag, robot),
+        *_placed_again(jumps(result.scans, log.scans, robot), graph),
+        *wheels_disagree(track, dead, robot, agreement.factor()),
+        *wheels_stand(track, dead, robot),
+        *wheels_leap(log.scan_t, log.scans, robot, segments=graph is not None),
     )
     measured = agreement.findings(robot, motion)
     if not any(f.code in {"wheels-scale", "wheels-unlike"} for f in (*measured, *result.findings)):
-        measured = (*measured, *wheels_unlike(track, dead, robot, wheels))
+        measured = (*measured, *wheels_unlike(track, dead, robot))
     moving_returns = {"return of something that moves": session.moving.count} if session.moving.count else {}
     left = {} if graph is None else left_graph(graph)
     cuts = () if graph is None else (*segment_findings(graph), *seen_through(graph))
@@ -424,9 +428,7 @@ def _first(log: LaserLog, poses: np.ndarray) -> np.ndarray:
     return np.asarray(se2.compose(poses[0], se2.between(log.scans[0].odometry, rows.pose[0])))
 
 
-def _tracks(
-    log: LaserLog, poses: np.ndarray, frame: str, cfg: MomentConfig
-) -> tuple[Track, Track | None, tuple[Finding, ...]]:
+def _tracks(log: LaserLog, poses: np.ndarray, frame: str) -> tuple[Track, Track | None, tuple[Finding, ...]]:
     """Estimate and dead reckoning at every odometry and scan stamp, from the first stamp's pose, and what to say."""
     shift = se2.inverse(_first(log, poses))
     rows = log.odometry
@@ -441,7 +443,7 @@ def _tracks(
     at = np.flatnonzero(order >= int(between.sum()))
     filled = blended(odometry, at, se2.compose(shift, poses))
     t = t[order]
-    filled, middle = of_one_moment(t, filled, order >= int(between.sum()), cfg)
+    filled, middle = of_one_moment(t, filled, order >= int(between.sum()))
     last = np.append(np.diff(t) > 0, True)
     dead = se2.between(odometry[0], odometry)
     tracks = Track(t[last], filled[last], frame=frame), Track(t[last], dead[last], frame="odom")
@@ -452,21 +454,21 @@ def _tracks(
 
 
 def of_one_moment(
-    t: Float[np.ndarray, " n"], pose: Float[np.ndarray, "n 3"], scan: Bool[np.ndarray, " n"], cfg: MomentConfig
+    t: Float[np.ndarray, " n"], pose: Float[np.ndarray, "n 3"], scan: Bool[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
     """The poses, those of one moment that contradict each other at their middle, and which these are.
 
     t: ascending [s]; scan: which poses are those of scans. The middle is the median over x, y and heading of the rows
     within `cfg.within`, seen from the row itself.
     """
-    first = np.searchsorted(t, t - cfg.within, side="left")
-    end = np.searchsorted(t, t + cfg.within, side="right")
+    first = np.searchsorted(t, t - MOMENT_WITHIN, side="left")
+    end = np.searchsorted(t, t + MOMENT_WITHIN, side="right")
     out, replaced = np.array(pose), np.zeros(len(t), dtype=bool)
     for k in np.flatnonzero(end - first > 1).tolist():
         rows = slice(first[k], end[k])
         seen = se2.between(pose[k], pose[rows])
-        if (np.hypot(seen[:, 0], seen[:, 1]) <= cfg.apart).all() and (np.abs(seen[:, 2]) <= cfg.turned).all():
+        if (np.hypot(seen[:, 0], seen[:, 1]) <= MOMENT_APART).all() and (np.abs(seen[:, 2]) <= MOMENT_TURNED).all():
             continue
-        middle = np.median(np.repeat(seen, np.where(scan[rows], cfg.scan_counts, 1), axis=0), axis=0)
+        middle = np.median(np.repeat(seen, np.where(scan[rows], SCAN_COUNTS, 1), axis=0), axis=0)
         out[k], replaced[k] = se2.compose(pose[k], middle), True
     return out, replaced

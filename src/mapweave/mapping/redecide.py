@@ -10,7 +10,7 @@ from jaxtyping import Float
 from ..core import se2
 from ..core.findings import Finding
 from ..laser.closures import Closure
-from ..laser.joint_pass import joint_pass, keyframe_cloud
+from ..laser.joint_pass import JOINT_PASS_BEAMS, joint_pass, keyframe_cloud
 from ..laser.laser_map import LaserMap
 from ..laser.occupancy_mapper import keyframe_returns, render_returns
 from ..laser.robot_graph import RobotGraph
@@ -110,7 +110,7 @@ def _remade(
     g = cfg.graph
     there = replace(graph, pose=pose, closures=closures)
     if g.last_pass:
-        pose = joint_pass(there.steps(), keyframe_cloud([there], g.joint.beams), g.joint, there.accepted())
+        pose = joint_pass(there.steps(), keyframe_cloud([there], JOINT_PASS_BEAMS), g.joint, there.accepted())
     origin = se2.compose(pose[0], se2.inverse(graph.pose[0]))
     pose = np.asarray(se2.between(origin, pose))
     cov = np.asarray(g.unsure * cov + graph.cov[0])

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from ..core import se2
 from ..core.errors import DataError
-from ..laser.joint_pass import JointPassConfig, joint_pass, keyframe_cloud
+from ..laser.joint_pass import JOINT_PASS_BEAMS, JointPassConfig, joint_pass, keyframe_cloud
 from ..laser.pose_graph import PoseGraph
 from ..laser.robot_graph import RobotGraph
 from ..laser.robust_graph import RobustGraphConfig, SolvedGraph, connected, solve_graph
@@ -324,7 +324,7 @@ def _last_pass(robots: Sequence[RobotGraph], ties: PoseGraph, cfg: JointPassConf
     size = [len(r) for r in robots]
     steps = _side_by_side([r.steps() for r in robots], ties.pose)
     owner = np.repeat(np.arange(len(robots)), size)
-    refined = joint_pass(steps, keyframe_cloud(robots, cfg.beams), cfg, ties, owner)
+    refined = joint_pass(steps, keyframe_cloud(robots, JOINT_PASS_BEAMS), cfg, ties, owner)
     origin = se2.compose(refined[0], se2.inverse(robots[0].pose[0]))
     return [np.asarray(p) for p in np.split(se2.between(origin, refined), np.cumsum(size)[:-1])]
 

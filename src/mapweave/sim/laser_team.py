@@ -13,6 +13,10 @@ from ..core.se2 import representable_heading
 from ..core.walls import WallIndex
 from .laser import START_NS, LaserWorld, Reflectance, Scanner, measure, stream
 
+SCALE_LENGTH = 15.0  # [m] over which it is correlated
+ODOMETRY_NOISE_TRANSLATION = 0.01  # [m per sqrt(m)] of the place, along the path
+ODOMETRY_NOISE_ROTATION = np.radians(0.4)  # [rad per sqrt(m)] of the heading, driving
+
 ROBOT_REFLECTANCE = 0.35  # of another robot's hull, as `PAINT` is of a wall
 
 
@@ -22,9 +26,6 @@ class OdometryNoise:
 
     factor: float = 1.0  # on all errors below
     scale: float = 0.01  # sd of the scale error, an Ornstein-Uhlenbeck process
-    scale_length: float = 15.0  # [m] over which it is correlated
-    translation: float = 0.01  # [m per sqrt(m)] of the place, along the path
-    rotation: float = np.radians(0.4)  # [rad per sqrt(m)] of the heading, driving
     turning: float = np.radians(1.0)  # [rad per sqrt(rad)] of the heading, turning
     bias: float = np.radians(0.1)  # [rad/m], sd of each robot's own heading bias
 
@@ -143,10 +144,10 @@ class Wheels:
         c = self.cfg
         shock = self.rng.standard_normal(4)
         ds, turn = abs(float(twist[0])), abs(float(twist[2]))
-        keep = float(np.exp(-ds / c.scale_length))
+        keep = float(np.exp(-ds / SCALE_LENGTH))
         self.scale = self.scale * keep + c.factor * c.scale * np.sqrt(1.0 - keep * keep) * shock[3]
-        slip = c.factor * c.translation * np.sqrt(ds)
-        sd = c.factor * np.sqrt(c.rotation**2 * ds + c.turning**2 * turn)
+        slip = c.factor * ODOMETRY_NOISE_TRANSLATION * np.sqrt(ds)
+        sd = c.factor * np.sqrt(ODOMETRY_NOISE_ROTATION**2 * ds + c.turning**2 * turn)
         return np.array(
             [
                 twist[0] * (1.0 + self.scale) + slip * shock[0],

@@ -25,6 +25,20 @@ from .laser import (
     through,
 )
 
+FLOOR_ASPECT = 1.5  # aspect
+FLOOR_CORRIDOR = 2.0  # corridor
+FLOOR_WALL = 0.1  # wall
+FLOOR_DOOR = 1.0  # door
+ROOM_DEPTH = 4.2  # room depth
+ROOM_WIDTH = (3.2, 6.0)  # room width
+FLOOR_BLOCK = (13.0, 9.0)  # between corridors, about
+TWO_ROWS = 6.5  # a block at least as deep has rooms on both sides
+HALL_SHARE = 0.25  # of blocks are one open-plan hall
+THROUGH_SHARE = 0.15  # of neighbouring rooms have a door between them
+POCKET_AREA = 2000.0  # [m^2] of floor a pocket, on average
+FLOOR_SLIT = 0.25  # a pocket's door, when it has one: too narrow for a robot, wide enough for a beam
+FLOOR_APART = 1.5  # between the robots' starts, along a corridor
+
 
 @config
 class CorridorConfig:
@@ -209,19 +223,6 @@ LEAST_GAP = 1.1  # [m] between pieces of furniture, where there is one
 class FloorConfig:
     """Sizes of what a floor is made of [m], and how often."""
 
-    aspect: float = 1.5
-    corridor: float = 2.0
-    wall: float = 0.1
-    door: float = 1.0
-    room_depth: float = 4.2
-    room_width: tuple[float, float] = (3.2, 6.0)
-    block: tuple[float, float] = (13.0, 9.0)  # between corridors, about
-    two_rows: float = 6.5  # a block at least as deep has rooms on both sides
-    hall_share: float = 0.25  # of blocks are one open-plan hall
-    through_share: float = 0.15  # of neighbouring rooms have a door between them
-    pocket_area: float = 2000.0  # [m^2] of floor a pocket, on average
-    slit: float = 0.25  # a pocket's door, when it has one: too narrow for a robot, wide enough for a beam
-    apart: float = 1.5  # between the robots' starts, along a corridor
     style: WallStyle = WallStyle(gap=(0.6, 2.5))
 
 
@@ -266,64 +267,68 @@ class _Plan:
     desks: list[Box] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        c = self.cfg
-        wide = float(np.round(np.sqrt(c.aspect * self.area), 2))
+        wide = float(np.round(np.sqrt(FLOOR_ASPECT * self.area), 2))
         high = float(np.round(self.area / wide, 2))
         self.size = np.array([wide, high])
         lanes = max(
-            1 if high < 2 * c.room_depth + 2 * c.corridor + 3 else 2,
-            round((high - 2 * c.room_depth + c.block[1]) / (c.block[1] + c.corridor)),
+            1 if high < 2 * ROOM_DEPTH + 2 * FLOOR_CORRIDOR + 3 else 2,
+            round((high - 2 * ROOM_DEPTH + FLOOR_BLOCK[1]) / (FLOOR_BLOCK[1] + FLOOR_CORRIDOR)),
         )
-        depth = c.room_depth if lanes > 1 else 0.5 * (high - c.corridor)
-        ys = np.linspace(depth, high - depth - c.corridor, lanes)
-        cross = 0 if lanes == 1 else max(2, round((wide - c.block[0]) / (c.block[0] + c.corridor)))
-        block = (wide - cross * c.corridor) / (cross + 1)
-        xs = block * np.arange(1, cross + 1) + c.corridor * np.arange(cross)
-        self.corridors = [(0.0, float(y), wide, float(y) + c.corridor) for y in ys]
-        self.corridors += [(float(x), float(ys[0]), float(x) + c.corridor, float(ys[-1])) for x in xs]
-        self._row(0.0, wide, float(ys[-1]) + c.corridor + c.wall, high, door_below=True)
-        self._row(0.0, wide, 0.0, float(ys[0]) - c.wall, door_below=False)
-        left = np.concatenate([[0.0], xs + c.corridor + c.wall])
-        right = np.concatenate([xs - c.wall, [wide]])
-        for y0, y1 in zip(ys[:-1] + c.corridor + c.wall, ys[1:] - c.wall, strict=True):
+        depth = ROOM_DEPTH if lanes > 1 else 0.5 * (high - FLOOR_CORRIDOR)
+        ys = np.linspace(depth, high - depth - FLOOR_CORRIDOR, lanes)
+        cross = 0 if lanes == 1 else max(2, round((wide - FLOOR_BLOCK[0]) / (FLOOR_BLOCK[0] + FLOOR_CORRIDOR)))
+        block = (wide - cross * FLOOR_CORRIDOR) / (cross + 1)
+        xs = block * np.arange(1, cross + 1) + FLOOR_CORRIDOR * np.arange(cross)
+        self.corridors = [(0.0, float(y), wide, float(y) + FLOOR_CORRIDOR) for y in ys]
+        self.corridors += [(float(x), float(ys[0]), float(x) + FLOOR_CORRIDOR, float(ys[-1])) for x in xs]
+        self._row(0.0, wide, float(ys[-1]) + FLOOR_CORRIDOR + FLOOR_WALL, high, door_below=True)
+        self._row(0.0, wide, 0.0, float(ys[0]) - FLOOR_WALL, door_below=False)
+        left = np.concatenate([[0.0], xs + FLOOR_CORRIDOR + FLOOR_WALL])
+        right = np.concatenate([xs - FLOOR_WALL, [wide]])
+        for y0, y1 in zip(ys[:-1] + FLOOR_CORRIDOR + FLOOR_WALL, ys[1:] - FLOOR_WALL, strict=True):
             for x0, x1 in zip(left, right, strict=True):
                 self._block(float(x0), float(x1), float(y0), float(y1))
 
     def _block(self, x0: float, x1: float, y0: float, y1: float) -> None:
-        if self.rng.random() < self.cfg.hall_share:
+        if self.rng.random() < HALL_SHARE:
             self._hall((x0, y0, x1, y1))
-        elif y1 - y0 >= self.cfg.two_rows:
+        elif y1 - y0 >= TWO_ROWS:
             middle = y0 + float(self.rng.uniform(0.42, 0.58)) * (y1 - y0)
-            self._row(x0, x1, y0, middle - 0.5 * self.cfg.wall, door_below=True)
-            self._row(x0, x1, middle + 0.5 * self.cfg.wall, y1, door_below=False)
+            self._row(x0, x1, y0, middle - 0.5 * FLOOR_WALL, door_below=True)
+            self._row(x0, x1, middle + 0.5 * FLOOR_WALL, y1, door_below=False)
         else:
             self._row(x0, x1, y0, y1, door_below=bool(self.rng.random() < 0.5))
 
     def _row(self, x0: float, x1: float, y0: float, y1: float, *, door_below: bool) -> None:
         """Rooms side by side, each with a door to the corridor below or above, or with none: a pocket."""
-        c, rng = self.cfg, self.rng
-        count = max(1, round((x1 - x0) / float(rng.uniform(*c.room_width))))
+        rng = self.rng
+        count = max(1, round((x1 - x0) / float(rng.uniform(*ROOM_WIDTH))))
         share = rng.uniform(0.8, 1.25, count)
         cuts = x0 + (x1 - x0) * np.concatenate([[0.0], np.cumsum(share) / share.sum()])
         last = False
         for k in range(count):
-            box = (float(cuts[k]) + 0.5 * c.wall * (k > 0), y0, float(cuts[k + 1]) - 0.5 * c.wall * (k < count - 1), y1)
+            box = (
+                float(cuts[k]) + 0.5 * FLOOR_WALL * (k > 0),
+                y0,
+                float(cuts[k + 1]) - 0.5 * FLOOR_WALL * (k < count - 1),
+                y1,
+            )
             shut = (
-                rng.random() < (box[2] - box[0]) * (y1 - y0) / c.pocket_area * 1.4
+                rng.random() < (box[2] - box[0]) * (y1 - y0) / POCKET_AREA * 1.4
             )  # 1.4: of a floor seven tenths are rooms
-            width = c.door if not shut else c.slit if rng.random() < 0.5 else 0.0
-            at = float(rng.uniform(box[0] + 0.4, box[2] - 0.4 - c.door))
+            width = FLOOR_DOOR if not shut else FLOOR_SLIT if rng.random() < 0.5 else 0.0
+            at = float(rng.uniform(box[0] + 0.4, box[2] - 0.4 - FLOOR_DOOR))
             if width:
                 self.doors.append(
-                    (at, y0 - c.wall, at + width, y0) if door_below else (at, y1, at + width, y1 + c.wall)
+                    (at, y0 - FLOOR_WALL, at + width, y0) if door_below else (at, y1, at + width, y1 + FLOOR_WALL)
                 )
             if shut:
                 self.pockets.append(box)
             else:
                 self._furnish(box, door_below=door_below)
-            if k and not shut and not last and rng.random() < c.through_share:
-                y = y0 + 0.7 if door_below else y1 - 0.7 - c.door
-                self.doors.append((box[0] - c.wall, y, box[0], y + c.door))
+            if k and not shut and not last and rng.random() < THROUGH_SHARE:
+                y = y0 + 0.7 if door_below else y1 - 0.7 - FLOOR_DOOR
+                self.doors.append((box[0] - FLOOR_WALL, y, box[0], y + FLOOR_DOOR))
             last = bool(shut)
             self.rooms.append(box)
 
@@ -349,11 +354,11 @@ class _Plan:
 
     def _hall(self, box: Box) -> None:
         """An open-plan hall: islands of desks, two doors below and two above."""
-        c, rng, (x0, y0, x1, y1) = self.cfg, self.rng, box
-        for y in (y0 - c.wall, y1):
+        rng, (x0, y0, x1, y1) = self.rng, box
+        for y in (y0 - FLOOR_WALL, y1):
             for share in (0.25, 0.75):
-                at = x0 + share * (x1 - x0) - 0.5 * c.door + float(rng.uniform(-0.8, 0.8))
-                self.doors.append((at, y, at + c.door, y + c.wall))
+                at = x0 + share * (x1 - x0) - 0.5 * FLOOR_DOOR + float(rng.uniform(-0.8, 0.8))
+                self.doors.append((at, y, at + FLOOR_DOOR, y + FLOOR_WALL))
         nx, ny = int((x1 - x0 - 1.3) / 3.0), int((y1 - y0 - 1.3) / 2.9)
         gx, gy = ((x1 - x0) - 1.6 * nx) / (nx + 1), ((y1 - y0) - 1.4 * ny) / (ny + 1)
         for i in range(nx):
@@ -365,11 +370,11 @@ class _Plan:
 
     def starts(self) -> np.ndarray:
         """Poses along the lowest corridor from its middle outwards, facing away from it by turns."""
-        c, (wide, _) = self.cfg, self.size
+        wide, _ = self.size
         x0, y0, x1, y1 = self.corridors[0]
-        places = int((x1 - x0 - 1.5) / c.apart)
+        places = int((x1 - x0 - 1.5) / FLOOR_APART)
         side = [(k + 1) // 2 * (1 if k % 2 else -1) for k in range(places)]
-        return np.array([(0.5 * wide + c.apart * s, 0.5 * (y0 + y1), 0.0 if s > 0 else np.pi) for s in side])
+        return np.array([(0.5 * wide + FLOOR_APART * s, 0.5 * (y0 + y1), 0.0 if s > 0 else np.pi) for s in side])
 
     def walls(self, name: str, rng: np.random.Generator) -> LaserWorld:
         """The borders of what is free, painted; a desk has one shade all round. All that is not free is solid."""

@@ -20,7 +20,15 @@ from scipy.special import betaln, ndtr
 
 from ..core.gaussian import chi2_quantile
 from . import bearing, factors
-from .config import AlternativesConfig
+from .config import (
+    ALTERNATIVES_BEAM,
+    ALTERNATIVES_EXTENT,
+    ALTERNATIVES_GATE,
+    ALTERNATIVES_MOST,
+    ALTERNATIVES_SWAPS,
+    ALTERNATIVES_UNLIKELY,
+    AlternativesConfig,
+)
 from .network import BearingNetwork
 from .result import SwarmEstimate
 
@@ -63,14 +71,14 @@ def doubts(
     It is asked of networks of up to `cfg.most` sightings with a covariance and noise.
     """
     none = np.zeros(len(net))
-    if estimate.cov is None or len(net.observer) > cfg.most or not np.any(net.sigma > 0):
+    if estimate.cov is None or len(net.observer) > ALTERNATIVES_MOST or not np.any(net.sigma > 0):
         return none
     held = _held(net, estimate)
     free = estimate.localisable & ~held.is_anchor
     if len(held.anchors) < 1 or not free.any():
         return none
     try:
-        none[free] = _asked(_Dense.of(held, estimate, cfg), ~inlier, estimate, free, cfg)
+        none[free] = _asked(_Dense.of(held, estimate), ~inlier, estimate, free, cfg)
     except np.linalg.LinAlgError:  # a covariance that is none: nothing may be believed of it
         none[free] = 1.0
     return none
@@ -91,7 +99,10 @@ def _asked(
     own = hypotheses.cov[0][at[:, :, None], at[:, None, :]] if estimate.gauge else np.asarray(estimate.cov)[free]
     weight = np.exp(hypotheses.evidence - hypotheses.evidence.max())
     outside = _outside(
-        hypotheses.x[:, at] - problem.estimate[at], hypotheses.cov[:, at[:, :, None], at[:, None, :]], own, cfg.gate
+        hypotheses.x[:, at] - problem.estimate[at],
+        hypotheses.cov[:, at[:, :, None], at[:, None, :]],
+        own,
+        ALTERNATIVES_GATE,
     )
     return np.asarray((weight[:, None] * outside).sum(axis=0) / weight.sum())
 
@@ -107,11 +118,11 @@ def hypotheses_near(problem: "_Dense", wrong: Bool[np.ndarray, " m"], cfg: Alter
         parents: list[np.ndarray] = []
         for k in first:
             key = hypotheses.wrong[k].tobytes()
-            likely = hypotheses.evidence[k] > hypotheses.evidence.max() - cfg.unlikely
-            if key not in expanded and (likely or k == 0) and len(parents) < cfg.beam:
+            likely = hypotheses.evidence[k] > hypotheses.evidence.max() - ALTERNATIVES_UNLIKELY
+            if key not in expanded and (likely or k == 0) and len(parents) < ALTERNATIVES_BEAM:
                 expanded.add(key)
                 parents.append(hypotheses.wrong[k])
-        fresh = [c for p in parents for c in _neighbours(p, cfg.swaps)]
+        fresh = [c for p in parents for c in _neighbours(p, ALTERNATIVES_SWAPS)]
         unseen = []
         for c in fresh:
             key = c.tobytes()
@@ -122,7 +133,7 @@ def hypotheses_near(problem: "_Dense", wrong: Bool[np.ndarray, " m"], cfg: Alter
             break
         for a in range(0, len(unseen), CHUNK):
             hypotheses = hypotheses.joined(problem.solved(np.array(unseen[a : a + CHUNK])))
-        keep = hypotheses.evidence > hypotheses.evidence.max() - 2.0 * cfg.unlikely
+        keep = hypotheses.evidence > hypotheses.evidence.max() - 2.0 * ALTERNATIVES_UNLIKELY
         keep[0] = True
         hypotheses = hypotheses.rows(keep)
     return hypotheses
@@ -166,14 +177,14 @@ class _Dense:
     extent: float  # [m] within which a robot is expected
 
     @classmethod
-    def of(cls, net: BearingNetwork, estimate: SwarmEstimate, cfg: AlternativesConfig) -> "_Dense":
+    def of(cls, net: BearingNetwork, estimate: SwarmEstimate) -> "_Dense":
         w = factors.width(net)
         x = estimate.position if estimate.heading is None else np.column_stack([estimate.position, estimate.heading])
         fixed = np.zeros((len(net), w), dtype=bool)
         fixed[list(net.anchors), : net.dim] = True
         p = estimate.position
         span = float(np.median(np.linalg.norm(p[net.target] - p[net.observer], axis=1))) or 1.0
-        return cls(net, x.ravel(), np.flatnonzero(~fixed.ravel()), cfg.extent * span)
+        return cls(net, x.ravel(), np.flatnonzero(~fixed.ravel()), ALTERNATIVES_EXTENT * span)
 
     def solved(self, wrong: Bool[np.ndarray, "h m"]) -> Hypotheses:
         """The minima without the sightings `wrong`, from the places found and from the linear start."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..solve import GemanMcClure, Pattern, Problem, Solution, SolveConfig, minimise
 from . import factors
-from .config import SwarmConfig
+from .config import SWARM_LOOSE, SWARM_NEAREST, SWARM_SELDOM, SwarmConfig
 from .gauge import gauge_pins
 from .network import BearingNetwork
 from .posterior import posterior
@@ -58,11 +58,11 @@ def refine(
     if net.distances:
         terms.append(factors.distance_factor(net))
     if loose.any():
-        terms.append(factors.prior_factor(np.flatnonzero(loose.ravel()), flat, cfg.loose * span))
+        terms.append(factors.prior_factor(np.flatnonzero(loose.ravel()), flat, SWARM_LOOSE * span))
     degree = np.bincount(np.concatenate([net.observer, net.target]), minlength=n)
-    few = np.flatnonzero(everyone | (np.minimum(degree[net.observer], degree[net.target]) <= cfg.seldom))
+    few = np.flatnonzero(everyone | (np.minimum(degree[net.observer], degree[net.target]) <= SWARM_SELDOM))
     if len(few):
-        terms.append(factors.apart_factor(net, few, cfg.nearest * span))
+        terms.append(factors.apart_factor(net, few, SWARM_NEAREST * span))
     problem = Problem(flat, terms, fixed.ravel(), lambda x, dx: factors.retract(net, x, dx))
     if len(terms) == 1 and pattern is None and int(problem.free.size) == n * w - dim * len(net.anchors):
         pattern = start.pattern

@@ -19,7 +19,7 @@ from ..core.se2 import rotation, wrap_angle
 from ..solve import SolveStatus
 from . import bearing
 from .batch import refine
-from .config import SwarmConfig
+from .config import SWARM_TOLERANCE, SwarmConfig
 from .headings import (
     SWEEPS,
     beacon_headings,
@@ -33,6 +33,12 @@ from .network import BearingNetwork, components, effective_sigma
 from .posterior import posterior
 from .result import FLOAT, SwarmEstimate, Traffic
 from .start import SwarmStart, prepare
+
+MESSAGES_RELAXATION = 0.95  # share of a Jacobi step that is taken towards what the neighbours say
+MESSAGES_QUIET = 1e-4  # of the usual distance; a linear step below this is not told
+MESSAGES_RELINEARISE = 5  # rounds between new linearisations
+MESSAGES_FAINT = 1e-8  # a robot's own prior, of the information of one sighting
+MESSAGES_FIRMER = 1e-5  # share of a link's own information below which a change of it is not told
 
 ROUNDS = 20  # of spreading headings from robots that see each other to those that only see
 FLAT = 1e-3  # share of a robot's stiffer direction below which the other is not held by its sightings
@@ -228,8 +234,8 @@ def relaxed_start(
         pull = np.zeros((n, dim))
         np.add.at(pull, links.a, np.einsum("lab,lb->la", C, heard[links.b]))
         wanted = np.einsum("nab,nb->na", inverse, pull + 1e-6 * position)
-        position[free] += cfg.messages.relaxation * (wanted - position)[free]
-        speaks = np.linalg.norm(position - heard, axis=1) > cfg.messages.quiet * usual
+        position[free] += MESSAGES_RELAXATION * (wanted - position)[free]
+        speaks = np.linalg.norm(position - heard, axis=1) > MESSAGES_QUIET * usual
     return position, Traffic(rounds, messages, messages * dim * FLOAT)
 
 
@@ -253,7 +259,7 @@ def belief_propagation(
     held[net.is_anchor, :dim] = True
     all_known = np.asarray(held.all(axis=1))
     at = x.copy()  # where each robot's sightings are linearised
-    faint = cfg.messages.faint / max(float(np.median(_range(net, start) * effective_sigma(net))), TINY) ** 2
+    faint = MESSAGES_FAINT / max(float(np.median(_range(net, start) * effective_sigma(net))), TINY) ** 2
     said = _linearised(net, links, at, usual)
     # Link a -> b: what a told b; at first as if a were known, since two who each know one direction tell nothing.
     Lam = said.bb.copy()
@@ -270,7 +276,7 @@ def belief_propagation(
         np.add.at(belief, links.b, Lam)
         np.add.at(carried, links.b, eta)
         x = np.where(held, x, np.linalg.solve(_firm(belief), carried[..., None])[..., 0])
-        if rounds % cfg.messages.relinearise == 0:
+        if rounds % MESSAGES_RELINEARISE == 0:
             at = x.copy()
             said = _linearised(net, links, at, usual)
         cavity = said.bb[links.back] + belief[links.a] - Lam[links.back]
@@ -283,8 +289,8 @@ def belief_propagation(
         to_b[known] = said.bb[known]
         new_eta[known] = (said.own - np.einsum("lab,lb->la", ba, x[links.a]))[known]
         change = (new_eta - eta) - np.einsum("lab,lb->la", to_b - Lam, x[links.b])
-        firmer = np.linalg.norm(to_b - Lam, axis=(1, 2)) > cfg.messages.firmer * np.linalg.norm(said.bb, axis=(1, 2))
-        speaks = (firmer | (np.linalg.norm(change, axis=1) * said.size > cfg.tolerance)) & listens[links.b]
+        firmer = np.linalg.norm(to_b - Lam, axis=(1, 2)) > MESSAGES_FIRMER * np.linalg.norm(said.bb, axis=(1, 2))
+        speaks = (firmer | (np.linalg.norm(change, axis=1) * said.size > SWARM_TOLERANCE)) & listens[links.b]
         Lam[speaks], eta[speaks] = to_b[speaks], new_eta[speaks]
         messages += int(np.count_nonzero(speaks))
     floats = w * (w + 1) // 2 + 2 * w  # information, its vector, and where the sender stands

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from ..core.errors import DataError
 from ..core.gaussian import solve_psd, symmetrise
 from ..core.se2 import wrap_angle
-from .config import VERDICT, SwarmConfig, VerdictConfig
+from .config import SwarmConfig
 from .factors import bearing_factor, width
 from .gauge import gauge_of
 from .headings import headings_at
@@ -171,7 +171,7 @@ def filtered(net: BearingNetwork, cfg: SwarmConfig, form: Form, initial: np.ndar
         parts = components(net)
         initial = linear_start(net, parts, net.direction, *linear_pattern(net, parts))
     state = update(filter_start(net, initial, cfg.prior_sigma, heading), net, form, cfg.max_iterations)
-    return report(net, state, form, cfg.verdict, ~used)
+    return report(net, state, form, ~used)
 
 
 def _with_headings(
@@ -193,7 +193,6 @@ def report(
     net: BearingNetwork,
     state: FilterState,
     form: Form,
-    verdict: VerdictConfig = VERDICT,
     outlier: Bool[np.ndarray, " m"] | None = None,
 ) -> SwarmEstimate:
     """What a filter state says, as an estimate; outlier: (m,) of the whole network when `net` holds the others only."""
@@ -209,7 +208,7 @@ def report(
     exact = not np.any(net.sigma > 0)
     chi2 = float(bearing_factor(net).squares(state.x.ravel()).sum())
     dof = len(net.observer) * (dim - 1) - len(state.free) + seen.nullity
-    doubts = [] if exact else chi2_warnings(chi2, dof, verdict)
+    doubts = [] if exact else chi2_warnings(chi2, dof)
     held = np.ones(n * w, dtype=bool)
     held[state.free] = False
     information = None

@@ -13,7 +13,12 @@ from ..core.bearings import BearingTable
 from ..core.errors import DataError
 from ..core.names import in_order
 from ..core.records import frozen
-from .config import CONSISTENCY, ConsistencyConfig
+
+CONSISTENCY_GATE = float(6.0 * np.sqrt(2.0))  # standard deviations by which two sightings of one pair may differ
+CONSISTENCY_ROUNDED = 4.0  # times as often as rounding explains, equal readings without stamps are copies
+CONSISTENCY_LEAST_PAIRS = 5  # mutual pairs below which nothing is said about axes
+AXIS_ANGLE = 0.5  # [rad] median miss of mutual sightings up to which axes count as common, or
+AXIS_SIGMAS = 20.0  # standard deviations of it
 
 READINGS = 200  # of one pair that are compared with each other: 19,900 pairs
 DEFAULT_SIGMA = float(np.radians(1.0))  # [rad]; standard deviation of a bearing where none is said
@@ -199,9 +204,7 @@ def effective_sigma(net: BearingNetwork) -> Float[np.ndarray, " m"]:
     return net.sigma if np.any(net.sigma > 0) else np.ones(len(net.sigma))
 
 
-def contradictions(
-    table: BearingTable, sigma: Float[np.ndarray, " m"], cfg: ConsistencyConfig = CONSISTENCY
-) -> Bool[np.ndarray, " m"]:
+def contradictions(table: BearingTable, sigma: Float[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
     """Which rows contradict another of the same observer, target and stamp.
 
     Of two that contradict, both; of three or more, those far from the median direction of all. sigma: (m,) [rad].
@@ -225,15 +228,13 @@ def contradictions(
         else:
             middle = np.median(u, axis=0)
             off = _angle(u, middle[None, :])
-        bad[rows] = off > cfg.gate * sigma[rows]
+        bad[rows] = off > CONSISTENCY_GATE * sigma[rows]
         if high - low == 2:
             bad[rows] = bad[rows].any()
     return bad
 
 
-def copies(
-    table: BearingTable, sigma: Float[np.ndarray, " m"], cfg: ConsistencyConfig = CONSISTENCY
-) -> Bool[np.ndarray, " m"]:
+def copies(table: BearingTable, sigma: Float[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
     """Which rows repeat an earlier one to the bit: observer, target, direction, sigma (m,) [rad] and stamp.
 
     Without stamps readings of one pair may be equal because they were rounded. Then the step they were rounded to shows
@@ -260,20 +261,20 @@ def copies(
         pairs, equal = pairs + len(off), equal + int(np.count_nonzero(same))
         step = min(step, float(off[~same].min(initial=np.inf)))
     chance = min(step / (2.0 * np.sqrt(np.pi) * max(float(np.median(sigma)), 1e-12)), 1.0) if np.isfinite(step) else 0.0
-    return again if equal > cfg.rounded * chance * pairs else np.zeros(m, dtype=bool)
+    return again if equal > CONSISTENCY_ROUNDED * chance * pairs else np.zeros(m, dtype=bool)
 
 
-def shares_an_axis(table: BearingTable, sigma: Float[np.ndarray, " m"], cfg: ConsistencyConfig = CONSISTENCY) -> bool:
+def shares_an_axis(table: BearingTable, sigma: Float[np.ndarray, " m"]) -> bool:
     """False when mutual sightings plainly do not point at each other: every robot has axes of its own."""
     n = len(table.ids)
     forth, back = table.observer * n + table.target, table.target * n + table.observer
     _, a, b = np.intersect1d(forth, back, return_indices=True)
     mutual = table.observer[a] < table.target[a]
     a, b = a[mutual], b[mutual]
-    if len(a) < cfg.least_pairs:
+    if len(a) < CONSISTENCY_LEAST_PAIRS:
         return True
     off = _angle(table.direction[a], -table.direction[b])
-    return bool(np.median(off) <= max(cfg.axis_angle, cfg.axis_sigmas * float(np.median(sigma))))
+    return bool(np.median(off) <= max(AXIS_ANGLE, AXIS_SIGMAS * float(np.median(sigma))))
 
 
 def _angle(a: Float[np.ndarray, "k d"], b: Float[np.ndarray, "l d"]) -> Float[np.ndarray, " k"]:

@@ -16,6 +16,11 @@ from .network import BearingNetwork
 from .result import JointInformation, SwarmEstimate, SwarmStatus, Traffic
 from .start import SwarmStart
 
+VERDICT_DOUBT = 1e-3  # probability below which a chi-square is called wrong
+TOO_MANY = 0.25  # share called wrong beyond which nothing does
+WEAK_SHARE = 0.8  # of all variance in one way to move: anchors hold the shape weakly, if a robot errs by
+WEAK_DEVIATION = 3.0  # times the error of one sighting at that distance
+
 CLOSE = 3.0  # standard deviations of its own length below which a sighting is close; beyond, r^2 errs by a tenth
 ANY_DIRECTION = float(np.pi / np.sqrt(3.0))  # [rad] standard deviation of a direction drawn at random
 ROUNDS = 3  # of lengthening: what is told of one pair changes what is known of others
@@ -103,7 +108,7 @@ def _weighed(term: Factor, share: Float[np.ndarray, " m"]) -> Factor:
 
 def trust_warnings(net: BearingNetwork, outlier: np.ndarray, cfg: VerdictConfig = VERDICT) -> list[str]:
     """What stands against trusting which sightings were called wrong."""
-    beyond = share_warnings(outlier, cfg)
+    beyond = share_warnings(outlier)
     if beyond:
         return beyond
     share = float(outlier.mean())
@@ -114,10 +119,10 @@ def trust_warnings(net: BearingNetwork, outlier: np.ndarray, cfg: VerdictConfig 
     return []
 
 
-def share_warnings(outlier: np.ndarray, cfg: VerdictConfig = VERDICT) -> list[str]:
+def share_warnings(outlier: np.ndarray) -> list[str]:
     """What stands against telling wrong sightings from right ones where so many are called wrong."""
     share = float(outlier.mean()) if len(outlier) else 0.0
-    if share <= cfg.too_many:
+    if share <= TOO_MANY:
         return []
     return [f"{100 * share:.0f} % of the sightings were called wrong: too many to say which ones"]
 
@@ -151,20 +156,20 @@ def support_warnings(net: BearingNetwork, robots: np.ndarray) -> list[str]:
     return [f"so many sightings of {len(robots)} robots were called wrong that their others prove nothing: {names}"]
 
 
-def chi2_warnings(chi2: float, dof: int, cfg: VerdictConfig = VERDICT) -> list[str]:
+def chi2_warnings(chi2: float, dof: int) -> list[str]:
     """What stands against trusting residuals of `chi2` with `dof` degrees of freedom."""
     if dof <= 0:
         counted = f"chi-square {chi2:.4g} with {dof} degrees of freedom"
         return [f"no sightings are left over to check the positions with ({counted})"]
-    if chi2 <= chi2_quantile(1 - cfg.doubt, float(dof)):
+    if chi2 <= chi2_quantile(1 - VERDICT_DOUBT, float(dof)):
         return []
     counted = f"chi-square {chi2:.4g} with {dof} degrees of freedom"
     return [f"the residuals are larger than sigma says ({counted}): outliers, a bias, or sigma too small"]
 
 
-def faint_remarks(chi2: float, dof: int, cfg: VerdictConfig = VERDICT) -> list[str]:
+def faint_remarks(chi2: float, dof: int) -> list[str]:
     """What is said of residuals far smaller than sigma: the positions may well be right, their covariance is not."""
-    if dof <= 0 or chi2 >= chi2_quantile(cfg.doubt, float(dof)):
+    if dof <= 0 or chi2 >= chi2_quantile(VERDICT_DOUBT, float(dof)):
         return []
     counted = f"chi-square {chi2:.4g} with {dof} degrees of freedom"
     return [f"the residuals are far smaller than sigma says ({counted}): sigma too large, or rows that are copies"]
@@ -248,21 +253,17 @@ def posterior(
     covariance = None
     close = 0
     if information is not None and cfg.covariance:
-        covariance = position_covariance(
-            net, gauge, information, solution.free, localisable, position, (G, C), cfg.verdict
-        )
+        covariance = position_covariance(net, gauge, information, solution.free, localisable, position, (G, C))
         deviation = np.sqrt(np.nan_to_num(np.trace(covariance.cov, axis1=1, axis2=2)))
         honest, close = with_true_lengths(net, x, problem, information, pattern, deviation, localisable, unchecked)
         if close:
             information = honest
-            covariance = position_covariance(
-                net, gauge, information, solution.free, localisable, position, (G, C), cfg.verdict
-            )
+            covariance = position_covariance(net, gauge, information, solution.free, localisable, position, (G, C))
     measured = problem.terms[: 1 + bool(net.distances)]
     chi2 = float(sum(term.squares(solution.x).sum() for term in measured))
     unknown = dim * (n - len(net.anchors)) + (0 if net.axis else len(np.unique(net.observer)))
     dof = len(net.observer) * (dim - 1) + len(net.distances) - unknown + start.seen.nullity
-    doubts = chi2_warnings(chi2, dof, cfg.verdict) if anyone and np.any(net.sigma > 0) else []
+    doubts = chi2_warnings(chi2, dof) if anyone and np.any(net.sigma > 0) else []
     if status is not SwarmStatus.CONVERGED:
         doubts.append(f"the refinement ended with: {status}")
     if information is None:
@@ -270,7 +271,7 @@ def posterior(
     weak = covariance is not None and covariance.weak
     remarks = [*notes, *layout_warnings(net, localisable, start.seen.in_line)]
     if anyone and np.any(net.sigma > 0):
-        remarks += faint_remarks(chi2, dof, cfg.verdict)
+        remarks += faint_remarks(chi2, dof)
     if covariance is not None:
         remarks += [*barely_determined(net, position, covariance.cov, localisable), *close_remarks(close)]
     if covariance is not None and weak:
@@ -344,7 +345,6 @@ def position_covariance(
     localisable: Bool[np.ndarray, " n"],
     position: Float[np.ndarray, "n d"],
     basis: tuple[np.ndarray, np.ndarray],
-    cfg: VerdictConfig,
 ) -> PositionCovariance:
     """Per-robot covariances from the information `A` over the entries `free`; exact sightings leave none."""
     dim = net.dim
@@ -357,8 +357,8 @@ def position_covariance(
     if not net.axis:
         heading_var = np.where(localisable, blocks[:, dim, dim] * (0.0 if exact else 1.0), np.nan)
     share = None if exact or gauge.name else _largest_mode(net, A, free, cov, localisable)
-    one_mode = share is not None and share > cfg.weak_share
-    weak = one_mode and _relative_deviation(net, cov, localisable, position) > cfg.weak_deviation
+    one_mode = share is not None and share > WEAK_SHARE
+    weak = one_mode and _relative_deviation(net, cov, localisable, position) > WEAK_DEVIATION
     return PositionCovariance(cov, heading_var, share, weak)
 
 

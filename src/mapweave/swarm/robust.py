@@ -17,7 +17,7 @@ from ..solve import GemanMcClure, SingularError
 from . import bearing, factors
 from .alternatives import doubts as alternatives
 from .batch import batch, refine
-from .config import ROBUST, FallenConfig, RobustConfig, SwarmConfig
+from .config import ALTERNATIVES_DOUBT, MUTUAL_GATE, SwarmConfig
 from .factors import bearing_factor
 from .headings import mutual_pairs, world_directions
 from .network import BearingNetwork, components, effective_sigma
@@ -25,10 +25,26 @@ from .posterior import CLOSE, doubtful_warnings, fallen_warnings, posterior, sup
 from .result import SwarmEstimate
 from .start import SwarmStart, linear_pattern, linear_start, prepare
 
+ROBUST_REWEIGHTS = 12  # of the start of least unsquared deviations
+ROBUST_COOLING = 1.6  # by which the kernel's width is divided at each stage
+STAGE_ITERATIONS = 4  # of Levenberg-Marquardt at each stage
+ROBUST_RESELECTIONS = 3  # of the sightings that agree, at most
+ROBUST_SUSPECT = 0.3  # share of a robot's sightings that disagree from which on it may stand at a wrong place
+ROBUST_RELOCATIONS = 3  # rounds of putting suspects elsewhere, since they may be neighbours
+CROSSINGS_OF = 40  # sightings of one robot whose crossings are tried: 780 pairs
 
-def relocated(
-    net: BearingNetwork, position: Float[np.ndarray, "n d"], limit: float, cfg: RobustConfig = ROBUST
-) -> Float[np.ndarray, "n d"]:
+FALLEN_HOPS = 3  # sightings away from the two, beyond which robots are held while one sighting is left out
+FALLEN_FEW = 4000  # sightings up to which all are asked, not only those of hardly known length
+FALLEN_PROMISE = 0.4  # of the limit: what the linear model must promise for a sighting to be left out at all
+FALLEN_UNCHECKED = 0.8  # share of its direction that a sighting alone tells, from which on nothing checks it
+NEAR_MISS = 70.0  # times the limit, squared residual up to which a sighting called wrong is tried again
+FALLEN_SWAPS = 2  # sightings let go at most for one that is taken in
+FALLEN_UNDECIDED = 0.5  # of the limit: a loss up to which a sighting called wrong may as well be right
+FALLEN_AGAINST = 6.0  # standard deviations of their difference beyond which two of a pair are not both right
+FALLEN_LIKELY = 0.015  # probability of being wrong from which on a sighting may as well be
+
+
+def relocated(net: BearingNetwork, position: Float[np.ndarray, "n d"], limit: float) -> Float[np.ndarray, "n d"]:
     """`position`, robots with many sightings beyond `limit` (squared, whitened) put where fewer are.
 
     Each is moved to the crossing of two of its rays with the least sum of squared residuals cut off at `limit`, if that
@@ -38,14 +54,14 @@ def relocated(
     order = np.argsort(np.concatenate([net.observer, net.target]), kind="stable")
     ends = np.searchsorted(np.concatenate([net.observer, net.target])[order], np.arange(len(net) + 1))
     factor = bearing_factor(net)
-    for _ in range(cfg.relocations):
+    for _ in range(ROBUST_RELOCATIONS):
         wrong = factor.squares(p.ravel()) > limit
         share = _share(net, wrong)
-        suspects = np.flatnonzero((share > cfg.suspect) & ~net.is_anchor)
+        suspects = np.flatnonzero((share > ROBUST_SUSPECT) & ~net.is_anchor)
         moved = False
         for k in suspects[np.argsort(-share[suspects], kind="stable")].tolist():
             rows = order[ends[k] : ends[k + 1]] % len(net.observer)
-            better = _best_crossing(net, p, k, rows[: cfg.crossings_of], limit)
+            better = _best_crossing(net, p, k, rows[:CROSSINGS_OF], limit)
             if better is not None:
                 p[k], moved = better, True
         if not moved:
@@ -128,16 +144,16 @@ def fallen_together(
     """
     wrong: list[int] = []
     undecided: list[int] = []
-    least = detection_threshold(net, inlier, cfg.fallen.likely)
-    for row in _promising(net, inlier, found, limit, cfg.fallen):
+    least = detection_threshold(net, inlier, FALLEN_LIKELY)
+    for row in _promising(net, inlier, found, limit):
         gain, miss = _left_out(net, inlier, found.position, row, cfg)
         if miss > limit and gain > min(limit, least[row]):
             (wrong if gain > limit else undecided).append(row)
-    for row in _near_misses(net, inlier, found, limit * cfg.fallen.near_miss):
+    for row in _near_misses(net, inlier, found, limit * NEAR_MISS):
         gain, others = _taken_in(net, inlier, found.position, row, limit, cfg)
         if gain > 0.0:
             wrong += others
-        elif gain > -cfg.fallen.undecided * limit:
+        elif gain > -FALLEN_UNDECIDED * limit:
             undecided += others
     return Fallen(np.array(wrong, dtype=np.intp), np.array(undecided, dtype=np.intp))
 
@@ -163,28 +179,24 @@ def _near_misses(net: BearingNetwork, inlier: Bool[np.ndarray, " m"], found: Swa
     return [int(k) for k in np.flatnonzero(~inlier & both & (squares < most))]
 
 
-def unchecked(
-    net: BearingNetwork, inlier: Bool[np.ndarray, " m"], found: SwarmEstimate, cfg: FallenConfig
-) -> Bool[np.ndarray, " m"]:
+def unchecked(net: BearingNetwork, inlier: Bool[np.ndarray, " m"], found: SwarmEstimate) -> Bool[np.ndarray, " m"]:
     """(m,) of the sightings `inlier`, those of hardly known length that no other checks: wrong or not, they fit."""
     rows = _doubtful(net, inlier, found)
     out = np.zeros(len(inlier), dtype=bool)
     if len(rows):
-        out[rows] = _told(net, rows, found)[1] > cfg.unchecked
+        out[rows] = _told(net, rows, found)[1] > FALLEN_UNCHECKED
     return out
 
 
-def _promising(
-    net: BearingNetwork, inlier: Bool[np.ndarray, " m"], found: SwarmEstimate, limit: float, cfg: FallenConfig
-) -> list[int]:
+def _promising(net: BearingNetwork, inlier: Bool[np.ndarray, " m"], found: SwarmEstimate, limit: float) -> list[int]:
     """Unconfirmed sightings whose removal the linear model rewards, the best first; in large networks short ones."""
-    rows = _doubtful(net, inlier, found, anywhere=len(inlier) <= cfg.few)
+    rows = _doubtful(net, inlier, found, anywhere=len(inlier) <= FALLEN_FEW)
     if not len(rows):
         return []
     squares, told = _told(net, rows, found)
     promise = squares / np.maximum(1.0 - told, 1e-6)
     order = np.argsort(-promise, kind="stable")
-    return [int(rows[k]) for k in order if promise[k] > cfg.promise * limit]
+    return [int(rows[k]) for k in order if promise[k] > FALLEN_PROMISE * limit]
 
 
 def _doubtful(
@@ -278,7 +290,7 @@ def _left_out(
     """What the chi-square of the other inliers near by loses without sighting `row`, and its own squared residual."""
     kept = inlier.copy()
     kept[row] = False
-    part = _part(net, kept, position, row, cfg.fallen.hops)
+    part = _part(net, kept, position, row, FALLEN_HOPS)
     if part is None:
         return 0.0, 0.0
     before = position[part.robots]
@@ -315,10 +327,10 @@ def _taken_in(
     misses most, until all that are left fit or `row` itself is the one.
     """
     kept = inlier.copy()
-    let_go = _against(net, kept, row, cfg.fallen.against)
+    let_go = _against(net, kept, row, FALLEN_AGAINST)
     kept[row], kept[let_go] = True, False
-    for _ in range(cfg.fallen.swaps + 1):
-        part = _part(net, kept, position, row, cfg.fallen.hops)
+    for _ in range(FALLEN_SWAPS + 1):
+        part = _part(net, kept, position, row, FALLEN_HOPS)
         if part is None:
             break
         before = position[part.robots]
@@ -341,7 +353,7 @@ def robust(net: BearingNetwork, cfg: SwarmConfig, initial: np.ndarray | None = N
     """The most likely positions under the sightings found to agree; the others are marked in `outlier`."""
     if not np.any(net.sigma > 0):
         return replace(batch(net, cfg, initial), method="robust")
-    agree = mutual_agreement(net, cfg.mutual_gate)
+    agree = mutual_agreement(net, MUTUAL_GATE)
     if not agree.any():
         agree[:] = True  # nothing agrees: the verdict will say so
     kept = net.select(agree)
@@ -349,20 +361,20 @@ def robust(net: BearingNetwork, cfg: SwarmConfig, initial: np.ndarray | None = N
     used = agree.copy()
     used[agree] = start.used
     kept = net.select(used)
-    start = replace(start, position=unsquared_start(kept, start, cfg.robust) if initial is None else start.position)
+    start = replace(start, position=unsquared_start(kept, start) if initial is None else start.position)
     x = graduated(kept, start, cfg)
     if net.axis:
-        x = relocated(kept, x.reshape(len(net), net.dim), outlier_limit(net, cfg.inlier_gate), cfg.robust).ravel()
+        x = relocated(kept, x.reshape(len(net), net.dim), outlier_limit(net, cfg.inlier_gate)).ravel()
     inlier = agreeing(net, x, cfg.inlier_gate) & ~without_heading(net, used)
     if not inlier.any():
         return _nothing_agrees(net, cfg, initial)
     doubts: list[str] = []
-    for round_ in range(cfg.robust.reselections):
+    for round_ in range(ROBUST_RESELECTIONS):
         estimate, inlier, start = _selected(net, x, start, used, inlier, cfg)
         if not net.axis or not cfg.covariance:
             break
         fallen = fallen_together(net, inlier, estimate, outlier_limit(net, cfg.inlier_gate), cfg)
-        if not len(fallen.wrong) or round_ == cfg.robust.reselections - 1:
+        if not len(fallen.wrong) or round_ == ROBUST_RESELECTIONS - 1:
             doubts = fallen_warnings(net, np.concatenate([fallen.wrong, fallen.undecided]))
             break
         inlier[fallen.wrong] = False
@@ -371,7 +383,7 @@ def robust(net: BearingNetwork, cfg: SwarmConfig, initial: np.ndarray | None = N
         x = refine(chosen, start, cfg, everyone=True)[0].x
         inlier = agreeing(net, x, cfg.inlier_gate)
     outside = alternatives(net, inlier, estimate, cfg.alternatives)
-    doubts += doubtful_warnings(net, outside, cfg.alternatives.doubt)
+    doubts += doubtful_warnings(net, outside, ALTERNATIVES_DOUBT)
     doubts += [*trust_warnings(net, ~inlier, cfg.verdict), *support_warnings(net, unsupported(net, ~inlier))]
     return replace(estimate, reliable=estimate.reliable and not doubts, warnings=(*doubts, *estimate.warnings))
 
@@ -380,7 +392,7 @@ def _selected(
     net: BearingNetwork, x: np.ndarray, start: SwarmStart, used: np.ndarray, inlier: np.ndarray, cfg: SwarmConfig
 ) -> tuple[SwarmEstimate, Bool[np.ndarray, " m"], SwarmStart]:
     """The estimate of the sightings that agree with it, found from those that agree at x; and which they are."""
-    for _ in range(cfg.robust.reselections):
+    for _ in range(ROBUST_RESELECTIONS):
         chosen = net.select(inlier)
         start = prepare_at(chosen, x, start)
         solution, problem, pattern = refine(chosen, start, cfg, everyone=True)
@@ -395,7 +407,7 @@ def _selected(
         solution, problem, pattern = refine(chosen, start, cfg, everyone=True)
     estimate = posterior(chosen, start, solution, problem, cfg, "robust", ~inlier, pattern=pattern)
     if net.axis and not inlier.all():  # where some are wrong, one that nothing checks may be
-        alone = unchecked(net, inlier, estimate, cfg.fallen)[inlier]
+        alone = unchecked(net, inlier, estimate)[inlier]
         if alone.any():
             estimate = posterior(
                 chosen, start, solution, problem, cfg, "robust", ~inlier, pattern=pattern, unchecked=alone
@@ -426,14 +438,14 @@ def mutual_agreement(net: BearingNetwork, gate: float) -> Bool[np.ndarray, " m"]
     return agree
 
 
-def unsquared_start(net: BearingNetwork, start: SwarmStart, how: RobustConfig = ROBUST) -> Float[np.ndarray, "n d"]:
+def unsquared_start(net: BearingNetwork, start: SwarmStart) -> Float[np.ndarray, "n d"]:
     """Positions of least summed (not squared) deviation, by reweighting the linear start."""
     parts = components(net)
     pattern, held = linear_pattern(net, parts)
     direction = world_directions(net, start.heading)
     plain = net if net.axis else replace(net, axis=True)
     position = start.position
-    for _ in range(how.reweights):
+    for _ in range(ROBUST_REWEIGHTS):
         d = position[net.target] - position[net.observer]
         usual = float(np.median(np.linalg.norm(d, axis=1))) or 1.0
         along = np.einsum("mk,mk->m", d, direction)
@@ -451,13 +463,13 @@ def graduated(net: BearingNetwork, start: SwarmStart, cfg: SwarmConfig) -> Float
     state = _state(start)
     largest = float(np.sqrt(bearing_factor(net).squares(state).max()))
     width, pattern = max(largest, cfg.inlier_gate), None
-    stage = replace(cfg, max_iterations=cfg.robust.stage_iterations)
+    stage = replace(cfg, max_iterations=STAGE_ITERATIONS)
     while True:
         solution, _, pattern = refine(net, start, stage, GemanMcClure(width), pattern, everyone=True)
         start = _moved(net, start, solution.x)
         if width <= cfg.inlier_gate:
             return solution.x
-        width = max(width / cfg.robust.cooling, cfg.inlier_gate)
+        width = max(width / ROBUST_COOLING, cfg.inlier_gate)
 
 
 def agreeing(net: BearingNetwork, x: Float[np.ndarray, " s"], gate: float) -> Bool[np.ndarray, " m"]:

@@ -21,7 +21,6 @@ from jaxtyping import Float, Int
 from scipy.sparse.csgraph import connected_components
 
 from ..core import se2
-from ..core.config import config
 from ..core.findings import Finding
 from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.records import Odometry
@@ -29,34 +28,40 @@ from ..core.rows import spread
 from ..landmarks.ekf_slam import is_landmark
 from ..solve import Solution
 from .commanded_motion import CommandedMotion
-from .config import CalibrationPrior, MotionNoise
+from .config import MOTION_NOISE_HOLD, CalibrationPrior
 from .covariance import Groups, scores
 from .problem import Origin, TeamProblem
-from .relative_frame import Body, Labels, PlacingConfig, costs, mutual_sightings, sharpened
+from .relative_frame import (
+    CLOCK_FINE,
+    CLOCK_FINE_STEP,
+    CLOCK_SIGHTINGS,
+    CLOCK_TOGETHER,
+    Body,
+    Labels,
+    PlacingConfig,
+    costs,
+    mutual_sightings,
+    sharpened,
+)
 from .team_map import TeamMap
 
-
-@config
-class CameraClockConfig:
-    """How far a camera's clock is looked for, and when it is believed to be off that of the wheels."""
-
-    reach: float = 5.0  # [s] looked for either way,
-    step: float = 0.1  # and the steps
-    apart: float = 1.5  # [s] between two sightings of one landmark that are compared, at most
-    most: int = 800  # pairs compared
-    few: int = 100  # pairs below which nothing is told
-    bearing: float = 0.05  # [rad] by which a bearing carried along errs
-    least: float = 0.5  # [s] from which a clock is off: less is how late wheels obey and cameras tell
-    gain: float = 30.0  # cost that the shift must take away,
-    share: float = 0.35  # and that share of it
+CAMERA_CLOCK_REACH = 5.0  # [s] looked for either way,
+CAMERA_CLOCK_STEP = 0.1  # and the steps
+CAMERA_CLOCK_APART = 1.5  # [s] between two sightings of one landmark that are compared, at most
+CAMERA_CLOCK_MOST = 800  # pairs compared
+CAMERA_CLOCK_FEW = 100  # pairs below which nothing is told
+CAMERA_CLOCK_BEARING = 0.05  # [rad] by which a bearing carried along errs
+CAMERA_CLOCK_LEAST = 0.5  # [s] from which a clock is off: less is how late wheels obey and cameras tell
+CAMERA_CLOCK_GAIN = 30.0  # cost that the shift must take away,
+CAMERA_CLOCK_SHARE = 0.35  # and that share of it
 
 
-def on_camera_clock(log: LandmarkLog, cfg: CameraClockConfig | None = None) -> LandmarkLog:
+def on_camera_clock(log: LandmarkLog) -> LandmarkLog:
     """The log with its wheels' stamps on the camera's clock, told, where that is clearly another one.
 
     The camera's stamps stay: other robots' clocks are compared with them.
     """
-    ahead = camera_ahead(log, cfg or CameraClockConfig())
+    ahead = camera_ahead(log)
     if not ahead or log.odometry is None:
         return log
     where = "ahead of" if ahead > 0 else "behind"
@@ -65,33 +70,35 @@ def on_camera_clock(log: LandmarkLog, cfg: CameraClockConfig | None = None) -> L
     return replace(log, odometry=replace(log.odometry, t=log.odometry.t + ahead), findings=(*log.findings, found))
 
 
-def camera_ahead(log: LandmarkLog, cfg: CameraClockConfig) -> float:
+def camera_ahead(log: LandmarkLog) -> float:
     """By how much [s] the camera's stamps are ahead of the wheels'; 0 where they are not clearly, or nothing tells."""
     if log.odometry is None or not len(log.odometry.t):
         return 0.0
-    a, b = _pairs(log, cfg).T
-    if len(a) < cfg.few:
+    a, b = _pairs(log).T
+    if len(a) < CAMERA_CLOCK_FEW:
         return 0.0
-    shift = cfg.step * np.arange(-round(cfg.reach / cfg.step), round(cfg.reach / cfg.step) + 1)
-    cost = _costs(log.sightings, log.odometry, a, b, shift, cfg)
-    k, usual = int(np.argmin(cost)), float(cost[np.abs(shift) < cfg.least].min())
+    shift = CAMERA_CLOCK_STEP * np.arange(
+        -round(CAMERA_CLOCK_REACH / CAMERA_CLOCK_STEP), round(CAMERA_CLOCK_REACH / CAMERA_CLOCK_STEP) + 1
+    )
+    cost = _costs(log.sightings, log.odometry, a, b, shift)
+    k, usual = int(np.argmin(cost)), float(cost[np.abs(shift) < CAMERA_CLOCK_LEAST].min())
     if not np.isfinite(cost).all():
         return 0.0
     gain = usual - float(cost[k])
-    return float(shift[k]) if gain > max(cfg.gain, cfg.share * usual) else 0.0
+    return float(shift[k]) if gain > max(CAMERA_CLOCK_GAIN, CAMERA_CLOCK_SHARE * usual) else 0.0
 
 
-def _pairs(log: LandmarkLog, cfg: CameraClockConfig) -> Int[np.ndarray, "p 2"]:
+def _pairs(log: LandmarkLog) -> Int[np.ndarray, "p 2"]:
     """Sightings of a landmark and the next of the same one, spread over the log."""
     seen, successive = log.sightings, [np.zeros((0, 2), np.int64)]
     for k, name in enumerate(seen.ids):
         rows = np.flatnonzero(seen.what == k) if is_landmark(name) else np.zeros(0, np.int64)
         gap = np.diff(seen.t[rows])
-        near = (gap > 0.0) & (gap <= cfg.apart)
+        near = (gap > 0.0) & (gap <= CAMERA_CLOCK_APART)
         successive.append(np.column_stack([rows[:-1][near], rows[1:][near]]) if len(rows) else successive[0])
     pairs = np.concatenate(successive)
     pairs = pairs[np.argsort(pairs[:, 0], kind="stable")]
-    return np.asarray(pairs[spread(len(pairs), cfg.most)])
+    return np.asarray(pairs[spread(len(pairs), CAMERA_CLOCK_MOST)])
 
 
 def _costs(
@@ -100,11 +107,10 @@ def _costs(
     a: Int[np.ndarray, " p"],
     b: Int[np.ndarray, " p"],
     shift: Float[np.ndarray, " s"],
-    cfg: CameraClockConfig,
 ) -> Float[np.ndarray, " s"]:
     """The Cauchy cost of all pairs for each shift; a command that acts late is no shift."""
     usual = CalibrationPrior()
-    motion = CommandedMotion.of(wheels, MotionNoise().hold)
+    motion = CommandedMotion.of(wheels, MOTION_NOISE_HOLD)
 
     def at(k: Int[np.ndarray, " p"]) -> Float[np.ndarray, "s p 3"]:
         t = (seen.t[k] - shift[:, None]).ravel()
@@ -113,7 +119,7 @@ def _costs(
     point = seen.range[a, None] * np.stack([np.cos(seen.bearing[a]), np.sin(seen.bearing[a])], axis=-1)
     carried = se2.act(se2.between(at(b), at(a)), point)
     miss = se2.wrap_angle(np.arctan2(carried[..., 1], carried[..., 0]) - seen.bearing[b])
-    return np.asarray(np.log1p(np.square(miss / cfg.bearing)).sum(axis=-1))
+    return np.asarray(np.log1p(np.square(miss / CAMERA_CLOCK_BEARING)).sum(axis=-1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,12 +136,12 @@ def clock_of(
     """What the robot's stamps want to be moved by in `team`; None where too little was seen, or all stood still."""
     others = Body({name: track for name, track in team.tracks.items() if name != robot and len(track.t)}, {})
     own = Body({robot: team.tracks[robot]}, {})
-    sharp, reach, step = sharpened(cfg), cfg.clock_fine, cfg.clock_fine_step
+    sharp, reach, step = sharpened(cfg), CLOCK_FINE, CLOCK_FINE_STEP
     here = np.zeros(3)
 
     def cost(ahead: float) -> float:
         z = mutual_sightings(others, replace(own, clock=ahead), logs, labels)
-        return np.inf if len(z) < cfg.clock_sightings else float(costs(z, here, sharp)) / len(z)
+        return np.inf if len(z) < CLOCK_SIGHTINGS else float(costs(z, here, sharp)) / len(z)
 
     tried = np.arange(-reach, reach + 0.5 * step, step)
     value = np.array([cost(t) for t in tried])
@@ -149,7 +155,7 @@ def clock_of(
         return None
     ahead = middle + float(np.clip(0.5 * step * (bottom[0] - bottom[2]) / (bend * step**2), -step, step))
     n = len(mutual_sightings(others, own, logs, labels))
-    return RobotClock(ahead, cfg.clock_together / np.sqrt(2.0 * bend * n))
+    return RobotClock(ahead, CLOCK_TOGETHER / np.sqrt(2.0 * bend * n))
 
 
 def of_another_time(logs: Sequence[LandmarkLog]) -> dict[str, float]:

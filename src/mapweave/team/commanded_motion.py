@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core.records import Odometry
-from .config import MotionNoise
+from .config import UNKNOWN_SLIP, UNKNOWN_SPEED, UNKNOWN_SPIN, MotionNoise
 
 SPEED, TURN, LAG = range(3)  # the order of derivatives by calibration
 
@@ -112,9 +112,9 @@ def random_walk(
     dt = np.diff(t)
     together = dt * (dt if keeps is None else np.maximum(keeps, dt))
     Q = np.zeros((len(dt), 3, 3))
-    Q[:, 0, 0] = cfg.unknown_speed**2 * together + cfg.rest_xy**2 * dt
-    Q[:, 1, 1] = cfg.unknown_slip**2 * together + cfg.rest_xy**2 * dt
-    Q[:, 2, 2] = cfg.unknown_spin**2 * together + cfg.rest_theta**2 * dt
+    Q[:, 0, 0] = UNKNOWN_SPEED**2 * together + cfg.rest_xy**2 * dt
+    Q[:, 1, 1] = UNKNOWN_SLIP**2 * together + cfg.rest_xy**2 * dt
+    Q[:, 2, 2] = UNKNOWN_SPIN**2 * together + cfg.rest_theta**2 * dt
     return Q
 
 

@@ -8,6 +8,40 @@ from dataclasses import field
 from ..core.config import config
 from ..core.errors import ConfigError
 
+MOTION_NOISE_HOLD = 2.0  # [s] a command holds without a new one
+UNKNOWN_SPEED = 0.12  # [m/s] ahead, of a robot without odometry
+UNKNOWN_SLIP = 0.02  # [m/s] sideways, of a robot without odometry
+UNKNOWN_SPIN = 0.35  # [rad/s] turn rate of a robot without odometry
+UNKNOWN_MEMORY = 6.0  # [s] for which a robot without odometry may keep its speed, where it tells no ranges
+MOTION_NOISE_OUTLIER = 2.5  # standard deviations from which a step counts less: robots are blocked now and then
+
+CLOCK_SUSPECT = 0.08  # [s] that a clock must seem off with trajectories held, to be looked at: a part of all
+ANOTHER_TIME = 60.0  # [s] between the spans of two logs from which their clocks have nothing in common
+CLOCK_LEAST = 0.5  # [s] from which a clock is off: less is within the lateness of cameras and commands
+CLOCK_TRIED = 1.0  # standard deviations from which it is tried as it seems,
+CLOCK_ROUNDS = 8  # smoothing again after each,
+CLOCK_STILL = 0.05  # [s] until it moves no more
+CLOCK_GAIN = 25.0  # and the cost that it must take away
+CLOCK_SURE = 6.0  # standard deviations from which it is put right too,
+GAIN_SURE = 35.0  # and the cost
+
+SMOOTHING_MEMORY = 5.0  # [s] over which errors of one robot's sightings of one landmark are taken to be correlated
+SMOOTHING_GROUPS = 3.0  # of factors, for each landmark coordinate and calibration parameter, that a sandwich wants
+FEW_RAISED = 0.5  # share added to what fewer groups tell, as of Morel, Bokossa and Neerchal (2003)
+MOST_CORRECTED = 4.0  # largest factor for what landmarks and calibration took out of the residuals
+POSITION_FLOOR = 0.01  # [m] added to every standard deviation of a place
+HEADING_FLOOR = 0.003  # [rad] added to every standard deviation of a heading
+SMOOTHING_SOFTEN = (8.0, 3.0)  # times as wide kernels are before the end, where starts are far off
+
+ONLINE_STRETCH = 10.0  # [s] of a stretch, whose poses are eliminated together
+ONLINE_WINDOW = 2  # stretches, the latest, that are linearised anew at every step
+ONLINE_MOVE = 0.02  # [m], [rad] from which an older stretch is linearised anew when it has moved
+ONLINE_RENEWED = 3  # older stretches that are linearised anew in one step, at most, those that moved most first
+ONLINE_ITERATIONS = 3  # of Gauss-Newton in a step, at most
+ONLINE_STILL = 0.002  # [m], [rad] of change at which a step ends
+ONLINE_FAR = 1.0  # [m] root mean square from the filters' landmarks, beyond which closing begins with the filters'
+ONLINE_SETTLE = 15  # iterations over everything when a robot has come in, at most
+
 
 @config
 class MotionNoise:
@@ -21,12 +55,6 @@ class MotionNoise:
     rest_theta: float = 1e-3  # [rad / sqrt(s)] wandering of the heading, always there
     lost_xy: float = 0.06  # [m / sqrt(s)] wandering while no command is known
     lost_theta: float = 0.3  # [rad / sqrt(s)] turning while no command is known
-    hold: float = 2.0  # [s] a command holds without a new one
-    unknown_speed: float = 0.12  # [m/s] ahead, of a robot without odometry
-    unknown_slip: float = 0.02  # [m/s] sideways, of a robot without odometry
-    unknown_spin: float = 0.35  # [rad/s] turn rate of a robot without odometry
-    unknown_memory: float = 6.0  # [s] for which a robot without odometry may keep its speed, where it tells no ranges
-    outlier: float = 2.5  # standard deviations from which a step counts less: robots are blocked now and then
 
 
 @config
@@ -39,7 +67,6 @@ class CameraNoise:
     bearing: float = 0.028  # [rad] error of a bearing to a landmark
     robot_range_floor: float = 0.22  # [m] error of a range to another robot, whose marks are not at its centre
     robot_bearing: float = 0.04  # [rad] error of a bearing to another robot
-    outlier: float = 1.0  # standard deviations from which a sighting counts less: errors of ranges are skewed
 
 
 @config
@@ -63,28 +90,14 @@ class CalibrationPrior:
 class KnownConfig:
     """How well places are known where nobody says how well."""
 
-    start: float = 0.05  # [m] standard deviation of where a robot began
-    heading: float = 0.05  # [rad] of its heading there
-    surveyed: float = 0.02  # [m] of a surveyed point
-    outlier: float = 2.5  # standard deviations from which a known place counts less: surveys exchange labels
     told: float = 3.0  # standard deviations from which a known place that the map contradicts is told
-    near: float = 0.5  # [m] within which a known place agrees with where the others put it, when the frame is sought
 
 
 @config
 class ClockConfig:
     """When a robot's clock is off the others', as what they saw of each other tells."""
 
-    suspect: float = 0.08  # [s] that a clock must seem off with trajectories held, to be looked at: a part of all
-    another_time: float = 60.0  # [s] between the spans of two logs from which their clocks have nothing in common
-    least: float = 0.5  # [s] from which a clock is off: less is within the lateness of cameras and commands
-    tried: float = 1.0  # standard deviations from which it is tried as it seems,
-    rounds: int = 8  # smoothing again after each,
-    still: float = 0.05  # [s] until it moves no more
-    told: float = 4.0  # standard deviations from which a clock is told,
-    gain: float = 25.0  # and the cost that it must take away
-    sure: float = 6.0  # standard deviations from which it is put right too,
-    gain_sure: float = 35.0  # and the cost
+    told: float = 4.0  # standard deviations from which a clock is told
 
 
 @config
@@ -101,14 +114,7 @@ class SmoothingConfig:
     shortest_step: float = 0.5  # [s] between two poses that are estimated; sightings between go by the nearest
     most_poses: int = 50_000  # that are estimated, about: beyond it both steps are made longer, and it is told
     cluster: float = 20.0  # [s] errors of one robot are taken to be independent after this long
-    memory: float = 5.0  # [s] over which errors of one robot's sightings of one landmark are taken to be correlated
-    groups: float = 3.0  # of factors, for each landmark coordinate and calibration parameter, that a sandwich wants
-    few_raised: float = 0.5  # share added to what fewer groups tell, as of Morel, Bokossa and Neerchal (2003)
-    most_corrected: float = 4.0  # largest factor for what landmarks and calibration took out of the residuals
-    position_floor: float = 0.01  # [m] added to every standard deviation of a place
-    heading_floor: float = 0.003  # [rad] added to every standard deviation of a heading
     max_iterations: int = 40  # steps of the solver, at most
-    soften: tuple[float, ...] = (8.0, 3.0)  # times as wide kernels are before the end, where starts are far off
 
 
 @config
@@ -116,22 +122,11 @@ class OnlineConfig:
     """The table `[online]` of a landmark configuration."""
 
     step: float = 1.0  # [s] of the logs that are taken in at once
-    stretch: float = 10.0  # [s] of a stretch, whose poses are eliminated together
-    window: int = 2  # stretches, the latest, that are linearised anew at every step
-    move: float = 0.02  # [m], [rad] from which an older stretch is linearised anew when it has moved
-    renewed: int = 3  # older stretches that are linearised anew in one step, at most, those that moved most first
-    iterations: int = 3  # of Gauss-Newton in a step, at most
-    still: float = 0.002  # [m], [rad] of change at which a step ends
     fuse_every: float = 10.0  # [s] between two looks at which robots and landmarks are connected
-    far: float = 1.0  # [m] root mean square from the filters' landmarks, beyond which closing begins with the filters'
-    settle: int = 15  # iterations over everything when a robot has come in, at most
 
     def __post_init__(self) -> None:
-        for name in ("step", "stretch", "fuse_every", "move", "still"):
+        for name in ("step", "fuse_every"):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"{name}: expected a number above 0, found {getattr(self, name)}")
-        for name in ("window", "iterations", "settle"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"{name}: expected 1 or more, found {getattr(self, name)}")
-        if self.stretch < self.step:
-            raise ConfigError(f"stretch: expected as long as a step ({self.step} s) or longer, found {self.stretch}")
+        if self.step > ONLINE_STRETCH:
+            raise ConfigError(f"step: expected {ONLINE_STRETCH:g} s or less, found {self.step}")

@@ -18,7 +18,15 @@ from jaxtyping import Float, Int
 
 from ..core.gaussian import symmetrise
 from ..solve import Factor, Information, Pattern, SingularError, Solution
-from .config import SmoothingConfig
+from .config import (
+    FEW_RAISED,
+    HEADING_FLOOR,
+    MOST_CORRECTED,
+    POSITION_FLOOR,
+    SMOOTHING_GROUPS,
+    SMOOTHING_MEMORY,
+    SmoothingConfig,
+)
 from .problem import Origin, TeamProblem
 from .robot_part import PARAMETERS
 
@@ -168,25 +176,25 @@ def team_covariance(
     known = _Known.of(team, solution, groups, pattern)
     hubs = np.arange(team.landmark_start, len(solution.x))
     m = 2 * len(team.landmarks)
-    few = known.groups < cfg.groups * np.count_nonzero(solution.free >= team.landmark_start)
-    influence, model = known.influence(hubs, 1.0 if few else cfg.most_corrected), known.model()
+    few = known.groups < SMOOTHING_GROUPS * np.count_nonzero(solution.free >= team.landmark_start)
+    influence, model = known.influence(hubs, 1.0 if few else MOST_CORRECTED), known.model()
     by = 1.0
     if not team.has_laser:
         white, directions = known.whitened(model)
         by = scatter(influence[:, :m] @ white, known.groups)
         if few:
             taken = taken_out(team, solution.x, groups, known.information, known.free, directions)
-            by = (1.0 + cfg.few_raised) * (by + taken * max(1.0, by / (1.0 - taken)))
-    factors = [max(by, _correlation(team, k, solution.x, cfg.memory)) for k in range(len(team.parts))]
+            by = (1.0 + FEW_RAISED) * (by + taken * max(1.0, by / (1.0 - taken)))
+    factors = [max(by, _correlation(team, k, solution.x, SMOOTHING_MEMORY)) for k in range(len(team.parts))]
     if few:
         priors = influence[known.groups :].T @ influence[known.groups :]
         S = symmetrise(by * (model - priors) + priors)
     else:
         S = symmetrise(influence.T @ influence)
-    floor = np.diag([cfg.position_floor**2, cfg.position_floor**2, cfg.heading_floor**2])
+    floor = np.diag([POSITION_FLOOR**2, POSITION_FLOOR**2, HEADING_FLOOR**2])
     poses = [f * P + floor for f, P in zip(factors, known.pose_blocks(), strict=True)]
     deviations = np.sqrt(np.maximum(np.diag(S)[m:], 0.0)).reshape(-1, len(PARAMETERS))
-    landmarks = S[:m, :m] + cfg.position_floor**2 * np.eye(m)
+    landmarks = S[:m, :m] + POSITION_FLOOR**2 * np.eye(m)
     if team.size_is_held:
         landmarks, poses = _with_size(team, solution.x, before, landmarks, poses)
     return TeamCovariance(landmarks, tuple(poses), tuple(deviations), tuple(factors))

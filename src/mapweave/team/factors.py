@@ -15,15 +15,17 @@ from ..laser.pose_graph import PoseGraph, edge_factor
 from ..laser.robot_graph import RobotGraph
 from ..solve import Cauchy, Factor
 from .commanded_motion import Motion, random_walk
-from .config import CameraNoise, SmoothingConfig
+from .config import MOTION_NOISE_OUTLIER, UNKNOWN_MEMORY, CameraNoise, SmoothingConfig
 from .robot_part import BIAS, LAG, RANGE, SPEED, TURN, RobotPart
+
+CAMERA_NOISE_OUTLIER = 1.0  # standard deviations from which a sighting counts less: errors of ranges are skewed
 
 
 def step_factor(part: RobotPart, cfg: SmoothingConfig, lag: float) -> Factor:
     """The motion between neighbouring instants, against commands where there are any."""
     t, k = part.instants.t, part.instants.steps
     columns = np.concatenate([part.pose_columns(k), part.pose_columns(k + 1)], axis=1)
-    kernel = Cauchy(cfg.motion.outlier)
+    kernel = Cauchy(MOTION_NOISE_OUTLIER)
     if part.motion is None:
         return _wandering(part, columns, cfg)
     motion = part.motion
@@ -61,7 +63,7 @@ def _wandering(part: RobotPart, columns: Int[np.ndarray, "m 6"], cfg: SmoothingC
     scale = part.parameters + RANGE
     keeps = part.instants.gap
     if not len(part.log.sightings):
-        keeps = np.maximum(keeps, cfg.motion.unknown_memory)
+        keeps = np.maximum(keeps, UNKNOWN_MEMORY)
     whiten = np.linalg.inv(np.linalg.cholesky(random_walk(part.instants.t, cfg.motion, keeps)[part.instants.steps]))
 
     def residual(x: np.ndarray) -> np.ndarray:
@@ -229,7 +231,9 @@ def _sighting_factor(
     expected = np.linalg.norm(seen.at(x0)[0] - eye(x0)[0], axis=1)
     sd = np.stack([np.hypot(floor, camera.range_share * expected), np.full(len(z), bearing)], axis=-1)
     sd[~ranged, 0] = np.inf
-    return Factor(columns, residual, jacobian, 2, 1.0 / sd, Cauchy(camera.outlier), "landmark" if end == 5 else "robot")
+    return Factor(
+        columns, residual, jacobian, 2, 1.0 / sd, Cauchy(CAMERA_NOISE_OUTLIER), "landmark" if end == 5 else "robot"
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,8 +20,10 @@ from ..core.records import Track
 from ..fusion.result import Fusion
 from ..landmarks.landmark_map import LandmarkMap, LocalMap
 from .commanded_motion import CommandedMotion
-from .config import SmoothingConfig
+from .config import MOTION_NOISE_HOLD, SmoothingConfig
 from .relative_frame import (
+    PLACING_INLIER,
+    SURE_THETA,
     Body,
     Labels,
     PlacingConfig,
@@ -34,30 +36,31 @@ from .relative_frame import (
 )
 from .team_map import TeamMap
 
+KIDNAP_BIN = 10.0  # [s] of a log in which sightings are compared with the map
+BIN_SIGHTINGS = 6  # in one, at least
+BIN_SHARE = 0.4  # of them that must agree
+BAD_BINS = 2  # that do not, from which a robot is looked at
+KIDNAP_BENT = 0.2  # [m] by which its path differs from its wheels as calibrated, from which it is, within so many
+BENT_WITHIN = 6  # seconds
+KIDNAP_WINDOW = 8.0  # [s] of a log that is placed on its own,
+KIDNAP_RUN = 3  # and how many of them follow from each other on either side of a cut;
+LONG_WINDOW = 30.0  # [s] of longer ones, for robots that see little,
+LONG_RUN = 2  # and how many of those
+KIDNAP_BACK = 4  # windows back, to one of which the next must follow
+KIDNAP_FITS = 0.5  # [m] by which a place may differ from what wheels say of the one before, [rad] its heading,
+FITS_SHARE = 0.3  # and as a share of the distance and of the angle
+KIDNAP_CARRIED = 0.8  # [m] by which it does where the robot was carried, or
+CARRIED_TURN = 1.2  # [rad] its heading,
+CARRIED_SHARE = 0.25  # both beyond that share of all the distance and angle driven in between
+KIDNAP_BLIND = 4.0  # [s] without a sighting, from which it is left open when in between it was carried
+KIDNAP_MOST = 5  # robots, one after the other
+
 
 @config
 class KidnapConfig:
     """When a robot is looked at more closely, and when it was put down elsewhere."""
 
-    bin: float = 10.0  # [s] of a log in which sightings are compared with the map
-    bin_sightings: int = 6  # in one, at least
-    bin_share: float = 0.4  # of them that must agree
-    bad_bins: int = 2  # that do not, from which a robot is looked at
-    bent: float = 0.2  # [m] by which its path differs from its wheels as calibrated, from which it is, within so many
-    bent_within: int = 6  # seconds
-    window: float = 8.0  # [s] of a log that is placed on its own,
-    run: int = 3  # and how many of them follow from each other on either side of a cut;
-    long_window: float = 30.0  # [s] of longer ones, for robots that see little,
-    long_run: int = 2  # and how many of those
-    back: int = 4  # windows back, to one of which the next must follow
-    fits: float = 0.5  # [m] by which a place may differ from what wheels say of the one before, [rad] its heading,
-    fits_share: float = 0.3  # and as a share of the distance and of the angle
-    carried: float = 0.8  # [m] by which it does where the robot was carried, or
-    carried_turn: float = 1.2  # [rad] its heading,
-    carried_share: float = 0.25  # both beyond that share of all the distance and angle driven in between
-    blind: float = 4.0  # [s] without a sighting, from which it is left open when in between it was carried
     landmarks: int = 4  # of a map against which a robot is placed
-    most: int = 5  # robots, one after the other
 
 
 NEXT = 1e-3  # [s] after a stamp that is still of the stretch before
@@ -74,20 +77,19 @@ def jumps(
     reference: Body,
     log: LandmarkLog,
     labels: Labels,
-    cfg: KidnapConfig,
     placing: PlacingConfig,
     smoothing: SmoothingConfig,
 ) -> tuple[Relocation, ...]:
     """The moments across which places in `reference` do not follow from each other, though they do on either side."""
     wheel_track = carried_by_wheels(log, {}, smoothing)
-    for length, least in ((cfg.window, cfg.run), (cfg.long_window, cfg.long_run)):
+    for length, least in ((KIDNAP_WINDOW, KIDNAP_RUN), (LONG_WINDOW, LONG_RUN)):
         windowed = replace(placing, window=length)
         windows = placed_windows(reference, log, wheel_track, {log.robot: log}, labels, windowed)
         out = []
-        for before, after in pairwise(_runs(windows, wheel_track, least, cfg)):
+        for before, after in pairwise(_runs(windows, wheel_track, least)):
             i, j = before[-1], after[0]
-            if _carried(windows, i, j, wheel_track, cfg):
-                out.append(_moment(windows, i, j, wheel_track, placing, cfg.blind))
+            if _carried(windows, i, j, wheel_track):
+                out.append(_moment(windows, i, j, wheel_track, placing, KIDNAP_BLIND))
         if out:
             return tuple(out)
     return ()
@@ -106,20 +108,20 @@ def denied(
     """Whether landmarks that are not `restless` place the robot on either side of every moment, and deny it."""
     names = {labels.get(log.robot, {}).get(name, name) for name in restless}
     still = Body({}, {name: place for name, place in reference.landmarks.items() if name not in names})
-    if not names or len(still.landmarks) < cfg.landmarks or jumps(still, log, labels, cfg, placing, smoothing):
+    if not names or len(still.landmarks) < cfg.landmarks or jumps(still, log, labels, placing, smoothing):
         return False
     wheel_track = carried_by_wheels(log, {}, smoothing)
-    windows = placed_windows(still, log, wheel_track, {log.robot: log}, labels, replace(placing, window=cfg.window))
-    placed = [windows.t[k] for run in _runs(windows, wheel_track, cfg.run, cfg) for k in (run[0], run[-1])]
+    windows = placed_windows(still, log, wheel_track, {log.robot: log}, labels, replace(placing, window=KIDNAP_WINDOW))
+    placed = [windows.t[k] for run in _runs(windows, wheel_track, KIDNAP_RUN) for k in (run[0], run[-1])]
     return bool(placed) and all(min(placed) < m.begin and m.end < max(placed) for m in moments)
 
 
-def _runs(windows: Windows, wheel_track: Track, least: int, cfg: KidnapConfig) -> list[list[int]]:
+def _runs(windows: Windows, wheel_track: Track, least: int) -> list[list[int]]:
     """At least `least` windows that follow from each other; runs that begin inside another are left out."""
     runs: list[list[int]] = []
     for k in range(len(windows.t)):
-        near = [run for run in runs if k - run[-1] <= cfg.back]
-        fits = [run for run in near if _follows(windows, run[-1], k, wheel_track, cfg.fits, cfg.fits, cfg.fits_share)]
+        near = [run for run in runs if k - run[-1] <= KIDNAP_BACK]
+        fits = [run for run in near if _follows(windows, run[-1], k, wheel_track, KIDNAP_FITS, KIDNAP_FITS, FITS_SHARE)]
         if fits:
             max(fits, key=len).append(k)
         else:
@@ -141,7 +143,7 @@ def _follows(windows: Windows, i: int, j: int, wheel_track: Track, floor: float,
     return near and abs(float(miss[2])) < turn + share * angle
 
 
-def _carried(windows: Windows, i: int, j: int, wheel_track: Track, cfg: KidnapConfig) -> bool:
+def _carried(windows: Windows, i: int, j: int, wheel_track: Track) -> bool:
     """Whether window j lies where no wheels lead from window i, however far off their scales may be.
 
     What they may err by grows with all that was driven in between, to and fro, and sideways with the angle too, half
@@ -149,8 +151,8 @@ def _carried(windows: Windows, i: int, j: int, wheel_track: Track, cfg: KidnapCo
     """
     miss = _missed(windows, i, j, wheel_track)[1]
     way, angle = _driven(wheel_track, windows.t[i], windows.t[j])
-    away = float(np.hypot(miss[0], miss[1])) >= cfg.carried + cfg.carried_share * way * (1.0 + 0.5 * angle)
-    return away or abs(float(miss[2])) >= cfg.carried_turn + cfg.carried_share * angle
+    away = float(np.hypot(miss[0], miss[1])) >= KIDNAP_CARRIED + CARRIED_SHARE * way * (1.0 + 0.5 * angle)
+    return away or abs(float(miss[2])) >= CARRIED_TURN + CARRIED_SHARE * angle
 
 
 def _missed(windows: Windows, i: int, j: int, wheel_track: Track) -> tuple[np.ndarray, np.ndarray]:
@@ -179,7 +181,7 @@ def _moment(windows: Windows, i: int, j: int, wheel_track: Track, placing: Placi
         for k in (i, j):
             base = se2.interpolate(windows.t[[k]], wheel_track.t, wheel_track.pose)[0]
             T = se2.compose(windows.place[k], se2.inverse(base))
-            cost.append(np.minimum(np.square(residuals(z, T, placing)).sum(axis=-1), placing.inlier**2))
+            cost.append(np.minimum(np.square(residuals(z, T, placing)).sum(axis=-1), PLACING_INLIER**2))
         total = np.append(0.0, np.cumsum(cost[0])) + np.append(np.cumsum(cost[1][::-1])[::-1], 0.0)
         k = int(np.argmin(total))
         left = float(z.t[k - 1]) if k else left
@@ -221,9 +223,9 @@ def cut_kidnapped(
     """
     whole, main, maps = list(logs), list(logs), list(local)
     cleared: set[str] = set()
-    for _ in range(cfg.most):
+    for _ in range(KIDNAP_MOST):
         by = {log.robot: log for log in main}
-        suspects = _suspects(maps, fusion, by, cfg, placing, smoothing)
+        suspects = _suspects(maps, fusion, by, placing, smoothing)
         relocated = None
         for robot in suspects:
             k = next(i for i, log in enumerate(main) if log.robot == robot)
@@ -300,7 +302,7 @@ def _placed(
     track = placed_alone(body, part, {**logs, part.robot: part}, labels, placing, smoothing)
     if track is None:
         return None
-    cov = np.diag([placing.sure_xy**2, placing.sure_xy**2, placing.sure_theta**2])
+    cov = np.diag([placing.sure_xy**2, placing.sure_xy**2, SURE_THETA**2])
     return Track(track.t, track.pose, np.tile(cov, (len(track.t), 1, 1)), track.frame)
 
 
@@ -334,7 +336,6 @@ def _suspects(
     maps: Sequence[LocalMap],
     fusion: Fusion,
     logs: Mapping[str, LandmarkLog],
-    cfg: KidnapConfig,
     placing: PlacingConfig,
     smoothing: SmoothingConfig,
 ) -> list[str]:
@@ -345,30 +346,28 @@ def _suspects(
         if log.odometry is None or not len(m.submap.ids):
             continue
         restless = sum(not name.startswith("barcode:") for name in m.restless)
-        n = _bad_bins(m, fusion, logs, cfg, placing)
-        if n >= cfg.bad_bins or restless or _bent(m.track, log, _calibrated(smoothing, m), cfg.bent_within) > cfg.bent:
+        n = _bad_bins(m, fusion, logs, placing)
+        if n >= BAD_BINS or restless or _bent(m.track, log, _calibrated(smoothing, m), BENT_WITHIN) > KIDNAP_BENT:
             bad[m.robot] = n
     return sorted(bad, key=lambda robot: (-bad[robot], in_order(robot)))
 
 
-def _bad_bins(
-    m: LocalMap, fusion: Fusion, logs: Mapping[str, LandmarkLog], cfg: KidnapConfig, placing: PlacingConfig
-) -> int:
+def _bad_bins(m: LocalMap, fusion: Fusion, logs: Mapping[str, LandmarkLog], placing: PlacingConfig) -> int:
     """In how many stretches of the log most of what the robot saw lies elsewhere in the largest map."""
     first = fusion.components[0] if fusion.components else None
     if first is None:
         return 0
     if m.robot not in first.robots:
-        return int(np.ptp(m.track.t) // cfg.bin) if len(m.track.t) else 0
+        return int(np.ptp(m.track.t) // KIDNAP_BIN) if len(m.track.t) else 0
     T = first.frames[m.robot]
     own = Body({m.robot: Track(m.track.t, se2.compose(T, m.track.pose))}, {})
     z = mutual_sightings(_landmarks(first.map), own, logs, fusion.labels)
     if not len(z):
         return 0
-    agrees = np.square(residuals(z, np.zeros(3), placing)).sum(axis=-1) < placing.inlier**2
-    number = ((z.t - z.t.min()) // cfg.bin).astype(int)
+    agrees = np.square(residuals(z, np.zeros(3), placing)).sum(axis=-1) < PLACING_INLIER**2
+    number = ((z.t - z.t.min()) // KIDNAP_BIN).astype(int)
     n, good = np.bincount(number), np.bincount(number, weights=agrees)
-    return int(((n >= cfg.bin_sightings) & (good < cfg.bin_share * n)).sum())
+    return int(((n >= BIN_SIGHTINGS) & (good < BIN_SHARE * n)).sum())
 
 
 def _bent(track: Track, log: LandmarkLog, smoothing: SmoothingConfig, span: int) -> float:
@@ -376,7 +375,7 @@ def _bent(track: Track, log: LandmarkLog, smoothing: SmoothingConfig, span: int)
     if log.odometry is None or not len(track.t) or np.ptp(track.t) <= span:
         return 0.0
     t = np.arange(track.t[0], track.t[-1], 1.0)
-    known, motion = smoothing.calibration, CommandedMotion.of(log.odometry, smoothing.motion.hold)
+    known, motion = smoothing.calibration, CommandedMotion.of(log.odometry, MOTION_NOISE_HOLD)
     said, k = motion.at(t, known.speed_scale, known.turn_scale, known.lag)[0], span
     was = se2.interpolate(t, track.t, track.pose)
     miss = se2.between(se2.between(said[:-k], said[k:]), se2.between(was[:-k], was[k:]))
@@ -405,7 +404,7 @@ def _moments(
         if own is not None and len(own.submap.ids) >= cfg.landmarks:
             known = _calibrated(smoothing, own)
             reference = _landmarks(own.submap.landmarks)
-            relocations = jumps(reference, log, {}, cfg, placing, known)
+            relocations = jumps(reference, log, {}, placing, known)
             if relocations and not denied(relocations, reference, log, {}, restless, cfg, placing, known):
                 return relocations
     others = join([m for m in maps if m.robot != log.robot])
@@ -413,7 +412,7 @@ def _moments(
     if first is None or len(first.robots) < 2 or len(first.map) < cfg.landmarks:
         return ()
     reference = _landmarks(first.map)
-    relocations = jumps(reference, log, fusion.labels, cfg, placing, smoothing)
+    relocations = jumps(reference, log, fusion.labels, placing, smoothing)
     refuted = relocations and denied(relocations, reference, log, fusion.labels, restless, cfg, placing, smoothing)
     return () if refuted else relocations
 

@@ -21,6 +21,12 @@ from .relative_frame import Body, Layout, Tie, carried_by_wheels, moved_track
 from .robot_part import RobotPart
 from .team_map import TeamMap
 
+KNOWN_START = 0.05  # [m] standard deviation of where a robot began
+KNOWN_HEADING = 0.05  # [rad] of its heading there
+KNOWN_SURVEYED = 0.02  # [m] of a surveyed point
+KNOWN_OUTLIER = 2.5  # standard deviations from which a known place counts less: surveys exchange labels
+KNOWN_NEAR = 0.5  # [m] within which a known place agrees with where the others put it, when the frame is sought
+
 
 @dataclass(frozen=True, slots=True)
 class PlacePriors:
@@ -33,7 +39,7 @@ class PlacePriors:
     starts: Mapping[str, tuple[Float[np.ndarray, "3"], float]] = field(default_factory=dict)
     points: Mapping[str, tuple[Float[np.ndarray, "2"], float]] = field(default_factory=dict)
     own_frame: bool = False
-    near: float = KnownConfig().near
+    near: float = KNOWN_NEAR
 
     @classmethod
     def of(
@@ -42,15 +48,14 @@ class PlacePriors:
         start_sd: Mapping[str, float],
         points: Mapping[str, tuple[float, float, float | None]],
         robots: Sequence[str],
-        cfg: KnownConfig,
     ) -> "PlacePriors":
         """From options; robots: all there are. A start without a sd, a point without one, is as `cfg` says."""
         first = min(robots, key=in_order, default="")
         return cls(
-            {robot: (np.array(pose, float), start_sd.get(robot, cfg.start)) for robot, pose in starts.items()},
-            {n: (np.array([x, y], float), cfg.surveyed if sd is None else sd) for n, (x, y, sd) in points.items()},
+            {robot: (np.array(pose, float), start_sd.get(robot, KNOWN_START)) for robot, pose in starts.items()},
+            {n: (np.array([x, y], float), KNOWN_SURVEYED if sd is None else sd) for n, (x, y, sd) in points.items()},
             own_frame=not points and first not in starts,
-            near=cfg.near,
+            near=KNOWN_NEAR,
         )
 
     def __bool__(self) -> bool:
@@ -95,20 +100,20 @@ class PlacePriors:
                 out.append(Finding("start-contradicted", robot, value=off))
         for name, at in zip(team.landmarks.ids, team.landmarks.mean, strict=True):
             if name in self.points and (off := float(np.hypot(*(at - self.points[name][0])))) > max(
-                cfg.told * self.points[name][1], 10 * cfg.surveyed
+                cfg.told * self.points[name][1], 10 * KNOWN_SURVEYED
             ):
                 out.append(Finding("survey-contradicted", value={"name": name, "value": off}))
         return tuple(out)
 
-    def factors(self, parts: Sequence[RobotPart], landmarks: Mapping[str, int], cfg: KnownConfig) -> list[Factor]:
+    def factors(self, parts: Sequence[RobotPart], landmarks: Mapping[str, int]) -> list[Factor]:
         """The known places as measurements of first poses and of landmarks; landmarks: name -> entry of its x."""
-        kernel = Cauchy(cfg.outlier)
+        kernel = Cauchy(KNOWN_OUTLIER)
         own = [(part, *self.starts[part.robot]) for part in parts if part.robot in self.starts]
         out = []
         if own:
             columns = np.array([part.start + np.arange(3) for part, _, _ in own])
             pose = np.array([p for _, p, _ in own])
-            w = np.array([[1 / sd, 1 / sd, 1 / cfg.heading] for _, _, sd in own])
+            w = np.array([[1 / sd, 1 / sd, 1 / KNOWN_HEADING] for _, _, sd in own])
             out.append(_measured(columns, pose, w, kernel, "start", turns=True))
         seen = [(landmarks[n], *self.points[n]) for n in landmarks if n in self.points]
         if seen:

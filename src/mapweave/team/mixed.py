@@ -19,9 +19,20 @@ from ..laser.robot_graph import RobotGraph
 from ..mapping.config import LaserConfig
 from ..mapping.merge import Merge
 from .clocks import RobotClock, clock_of
-from .config import MotionNoise, SmoothingConfig
+from .config import SMOOTHING_SOFTEN, UNKNOWN_SPEED, UNKNOWN_SPIN, SmoothingConfig
 from .known import PlacePriors, tied_by_known
 from .relative_frame import (
+    CLOCK_FINE_STEP,
+    FIXED_WINDOW,
+    LOST_SHARE,
+    PLACING_BETTER,
+    PLACING_CLOCK_ROUNDS,
+    PLACING_CLOCK_SURE,
+    PLACING_INLIER,
+    PLACING_LEAP,
+    PLACING_UNSURE,
+    REGAINED_SHARE,
+    REGAINED_WINDOW,
     Body,
     Labels,
     Layout,
@@ -57,7 +68,6 @@ def fixed_stretches(
     logs: Mapping[str, LandmarkLog],
     labels: Labels,
     cfg: PlacingConfig,
-    motion: MotionNoise,
 ) -> tuple[TeamMap, tuple[Finding, ...]]:
     """The map with the paths of `robots` cut to the poses that sightings fix, and a finding for each that was cut.
 
@@ -69,7 +79,7 @@ def fixed_stretches(
     tracks, gaps, notes = dict(team.tracks), dict(team.left_out), []
     for robot in robots:
         track = team.tracks[robot]
-        keep = _fixed(track, _partners(robot, team, logs, labels, cfg), cfg) & ~_near_leaps(track, cfg, motion)
+        keep = _fixed(track, _partners(robot, team, logs, labels, cfg)) & ~_near_leaps(track)
         if keep.all():
             continue
         gone = int((~keep).sum())
@@ -106,15 +116,15 @@ def _partners(
 
 def _seen(z: MutualSightings, cfg: PlacingConfig) -> _Seen:
     miss = np.square(residuals(z, np.zeros(3), cfg)).sum(axis=-1)
-    return _Seen(z.t, miss < cfg.inlier**2, ~z.forward, np.isfinite(z.range))
+    return _Seen(z.t, miss < PLACING_INLIER**2, ~z.forward, np.isfinite(z.range))
 
 
-def _fixed(track: Track, partners: list[_Seen], cfg: PlacingConfig) -> Bool[np.ndarray, " n"]:
+def _fixed(track: Track, partners: list[_Seen]) -> Bool[np.ndarray, " n"]:
     n = len(track.t)
     all_of_them, agreeing = np.zeros(n, int), np.zeros(n, int)
     saw_it, seen_by_it, distances = np.zeros(n, int), np.zeros(n, int), np.zeros(n, int)
     for s in partners:
-        near = np.abs(track.t[:, None] - s.t[None, :]) <= cfg.fixed_window
+        near = np.abs(track.t[:, None] - s.t[None, :]) <= FIXED_WINDOW
         good = near & s.agrees
         all_of_them += near.sum(axis=1)
         agreeing += good.sum(axis=1)
@@ -123,17 +133,15 @@ def _fixed(track: Track, partners: list[_Seen], cfg: PlacingConfig) -> Bool[np.n
         seen_by_it += (good & s.by_it).any(axis=1) & ~forward
         distances += (good & s.ranged).any(axis=1)
     directions = (saw_it + distances >= 2) | (saw_it + seen_by_it + distances >= 3)
-    return np.asarray(directions & (agreeing >= cfg.lost_share * all_of_them))
+    return np.asarray(directions & (agreeing >= LOST_SHARE * all_of_them))
 
 
-def _near_leaps(track: Track, cfg: PlacingConfig, motion: MotionNoise) -> Bool[np.ndarray, " n"]:
+def _near_leaps(track: Track) -> Bool[np.ndarray, " n"]:
     """Which poses lie within `cfg.fixed_window` of two that the robot cannot have gone between."""
     step, dt = se2.between(track.pose[:-1], track.pose[1:]), np.maximum(np.diff(track.t), SHORTEST)
-    fast = np.hypot(step[:, 0], step[:, 1]) > cfg.leap * motion.unknown_speed * dt
-    leap = np.flatnonzero(fast | (np.abs(step[:, 2]) > cfg.leap * motion.unknown_spin * dt))
-    near = (track.t[:, None] >= track.t[leap] - cfg.fixed_window) & (
-        track.t[:, None] <= track.t[leap + 1] + cfg.fixed_window
-    )
+    fast = np.hypot(step[:, 0], step[:, 1]) > PLACING_LEAP * UNKNOWN_SPEED * dt
+    leap = np.flatnonzero(fast | (np.abs(step[:, 2]) > PLACING_LEAP * UNKNOWN_SPIN * dt))
+    near = (track.t[:, None] >= track.t[leap] - FIXED_WINDOW) & (track.t[:, None] <= track.t[leap + 1] + FIXED_WINDOW)
     return np.asarray(near.any(axis=1))
 
 
@@ -203,27 +211,27 @@ def map_mixed(
             layout = _further(layout, lay_out(layout.bodies, left, by, labels, placing, smoothing))
     spread = {name: _variance(team.landmarks, k) for team in mapped for k, name in enumerate(team.landmarks.ids)}
     components = []
-    clocks = {robot: RobotClock(layout.clocks.get(robot, 0.0), placing.clock_fine_step) for robot in layout.clocks}
+    clocks = {robot: RobotClock(layout.clocks.get(robot, 0.0), CLOCK_FINE_STEP) for robot in layout.clocks}
     for body in layout.bodies:
         whole = body.on_team_time()
-        team = _team(_with_more_landmarks(whole, by, labels, placing), spread, by, labels, placing)
+        team = _team(_with_more_landmarks(whole, by, labels, placing), spread, by, labels)
         mine = [by[robot] for robot in team.robots if robot in by]
         if not refine:
             components.append(smooth(team, [], labels, smoothing))
             continue
-        for _ in range(placing.clock_rounds):
+        for _ in range(PLACING_CLOCK_ROUNDS):
             graphs = {
                 robot: _on_time(walls.scanned[robot].graph, clocks.get(robot))
                 for robot in team.robots
                 if robot in scanned
             }
-            done = smooth(team, mine, labels, smoothing, calibration, graphs, walls.crossings, smoothing.soften, known)
+            done = smooth(team, mine, labels, smoothing, calibration, graphs, walls.crossings, SMOOTHING_SOFTEN, known)
             wrong = {} if len(team.robots) < 2 else _late(done.map, own_clocks, by, labels, placing, clocks)
             if not wrong:
                 break
             team = _with_clocks(team, wrong)
         loosely = [robot for robot in done.map.tracks if robot not in held and by[robot].odometry is None]
-        cut, notes = fixed_stretches(done.map, loosely, by, labels, placing, smoothing.motion)
+        cut, notes = fixed_stretches(done.map, loosely, by, labels, placing)
         against = known.contradicted(done.map, smoothing.known)
         components.append(replace(done, map=cut, notes=(*done.notes, *notes, *against)))
     return MixedMap(tuple(components), layout, _paths(components, walls, by), clocks, walls.merges)
@@ -252,7 +260,7 @@ def regained(
     by = {log.robot: log for log in logs if log.robot in placed or log.log_hash not in counted}
     if not maps or not len(maps[0].landmarks):
         return tuple(maps), ()
-    cfg = replace(placing, loose_share=placing.regained_share, window=placing.regained_window)
+    cfg = replace(placing, loose_share=REGAINED_SHARE, window=REGAINED_WINDOW)
     largest = [k for k, team in enumerate(maps) if len(team.robots) == len(maps[0].robots) and len(team.landmarks)]
     tried = [(k, *_with_the_lost(_body(maps[k]), by, labels, smoothing, cfg)) for k in largest]
 
@@ -265,7 +273,7 @@ def regained(
     spread = {name: _variance(maps[k].landmarks, i) for i, name in enumerate(maps[k].landmarks.ids)}
     rest = [team for j, team in enumerate(maps) if j != k and not set(team.robots) & set(back)]
     notes = tuple(Finding("placed-anew", robot, value={"value": n, "all": of}) for robot, (n, of) in back.items())
-    return (_team(_with_more_landmarks(body, by, labels, cfg), spread, by, labels, cfg), *rest), notes
+    return (_team(_with_more_landmarks(body, by, labels, cfg), spread, by, labels), *rest), notes
 
 
 def _body(team: TeamMap) -> Body:
@@ -284,13 +292,13 @@ def _with_the_lost(
         if robot not in logs or logs[robot].odometry is None or len(body.landmarks) < LEAST:
             continue
         agree, of = agreeing_sightings(robot, body, logs, labels, cfg)
-        if agree >= cfg.lost_share * of:
+        if agree >= LOST_SHARE * of:
             continue
         others = replace(body, tracks={name: track for name, track in body.tracks.items() if name != robot})
         anew = lay_out([others], [logs[robot]], logs, labels, cfg, smoothing).bodies[0]
         if robot in anew.tracks:
             now = agreeing_sightings(robot, replace(anew, anchors={}), logs, labels, cfg)
-            if now[0] > cfg.better * agree:
+            if now[0] > PLACING_BETTER * agree:
                 body, back[robot] = replace(anew, anchors={}, reach={}), now
     loose = [log for robot, log in logs.items() if robot not in body.tracks and log.odometry is not None]
     layout = lay_out([body], loose, logs, labels, cfg, smoothing)
@@ -313,7 +321,7 @@ def _late(
         if clock is None:
             continue
         before = clocks.get(robot, RobotClock(0.0, 0.0)).ahead
-        if abs(clock.ahead) > cfg.clock_sure * clock.sd or (before and abs(clock.ahead) > clock.sd):
+        if abs(clock.ahead) > PLACING_CLOCK_SURE * clock.sd or (before and abs(clock.ahead) > clock.sd):
             wrong[robot] = clock.ahead
             clocks[robot] = RobotClock(before + clock.ahead, clock.sd)
         elif before:
@@ -363,12 +371,10 @@ def _with_more_landmarks(body: Body, logs: Mapping[str, LandmarkLog], labels: La
     return replace(body, landmarks={**body.landmarks, **{name: p for name, p in positions.items() if p is not None}})
 
 
-def _team(
-    body: Body, variance: Mapping[str, float], logs: Mapping[str, LandmarkLog], labels: Labels, cfg: PlacingConfig
-) -> TeamMap:
+def _team(body: Body, variance: Mapping[str, float], logs: Mapping[str, LandmarkLog], labels: Labels) -> TeamMap:
     ids = tuple(sorted(body.landmarks, key=in_order))
     mean = np.array([body.landmarks[name] for name in ids]).reshape(-1, 2)
-    cov = np.diag(np.repeat([variance.get(name, cfg.unsure**2) for name in ids], 2)) if ids else np.zeros((0, 0))
+    cov = np.diag(np.repeat([variance.get(name, PLACING_UNSURE**2) for name in ids], 2)) if ids else np.zeros((0, 0))
     robots = tuple(sorted(body.robots, key=in_order))
     counts: dict[str, dict[str, int]] = {name: {} for name in ids}
     first: dict[str, float] = {}

@@ -23,7 +23,17 @@ from ..landmarks.landmark_map import LandmarkMap
 from ..laser.scan_odometry import blended
 from ..solve import Pattern, Problem
 from ..solve.chain import Gauss, Passed, SchurComplement, passed, solve
-from .config import OnlineConfig, SmoothingConfig
+from .config import (
+    ONLINE_ITERATIONS,
+    ONLINE_MOVE,
+    ONLINE_RENEWED,
+    ONLINE_SETTLE,
+    ONLINE_STILL,
+    ONLINE_STRETCH,
+    ONLINE_WINDOW,
+    OnlineConfig,
+    SmoothingConfig,
+)
 from .problem import prior_of, seen_when, team_problem
 from .robot_part import PARAMETERS, RobotPart, instants_between
 
@@ -237,7 +247,7 @@ class OnlineTeam:
             self._lay_out(k, min(t, self._start(k + 1)), t, {r: estimated.get(r, ways[r]) for r in robots})
             k += 1
         self._entries = [self._prior()]
-        self._solve(self.online.settle, everything=True)
+        self._solve(ONLINE_SETTLE, everything=True)
         return True
 
     def advance(self, t: float) -> OnlineStep:
@@ -253,7 +263,7 @@ class OnlineTeam:
             k += 1
         if whole:  # a stretch has ended: the older ones are looked at
             self.update_poses()
-        return self._solve(self.online.iterations, everything=False, older=whole)
+        return self._solve(ONLINE_ITERATIONS, everything=False, older=whole)
 
     def forget(self) -> None:
         """Nothing is estimated any more, until robots are adopted again."""
@@ -267,7 +277,7 @@ class OnlineTeam:
 
     def converge(self) -> OnlineStep:
         """Everything linearised where it is now, until nothing moves."""
-        return self._solve(self.online.settle, everything=True)
+        return self._solve(ONLINE_SETTLE, everything=True)
 
     def way(self, robot: str) -> Track:
         """The robot's poses so far at all of its stamps, as of the last `update_poses`."""
@@ -275,7 +285,7 @@ class OnlineTeam:
         return self._carried(robot, at, poses, at[0], at[-1])
 
     def _start(self, k: int) -> float:
-        return self.begin + k * self.online.stretch
+        return self.begin + k * ONLINE_STRETCH
 
     def _there(self, k: int) -> list[str]:
         """The robots whose logs reach into stretch k."""
@@ -315,7 +325,7 @@ class OnlineTeam:
 
     def _first(self) -> int:
         """The stretch in which the first robot begins."""
-        return int((self.logs[self.members[0]].span[0] - self.begin) // self.online.stretch)
+        return int((self.logs[self.members[0]].span[0] - self.begin) // ONLINE_STRETCH)
 
     def _onward(self, robot: str, k: int, begin: float, now: float) -> Track:
         """Where the robot went from `begin` on: as estimated, beyond that as its filter goes on."""
@@ -387,15 +397,15 @@ class OnlineTeam:
 
         older: whether stretches before the latest are linearised anew where they have moved.
         """
-        cfg, n = self.online, len(self.stretches)
-        first = 0 if everything else max(0, n - cfg.window)
+        _cfg, n = self.online, len(self.stretches)
+        first = 0 if everything else max(0, n - ONLINE_WINDOW)
         linearised = renewed = i = 0
         change = np.inf
         for i in range(iterations):
-            anew = {k for k in range(first, n) if self._change(k) > (0.1 if everything else 0.5) * cfg.still}
+            anew = {k for k in range(first, n) if self._change(k) > (0.1 if everything else 0.5) * ONLINE_STILL}
             if i == 0 and older and not everything:
-                moves = {k: m for k in range(first) if (m := self._change(k)) > cfg.move}
-                far = sorted(moves, key=lambda k: -moves[k])[: cfg.renewed]
+                moves = {k: m for k in range(first) if (m := self._change(k)) > ONLINE_MOVE}
+                far = sorted(moves, key=lambda k: -moves[k])[:ONLINE_RENEWED]
                 renewed = len(far)
                 anew |= set(far)
             for k in anew:
@@ -403,7 +413,7 @@ class OnlineTeam:
             linearised += len(anew)
             self._forward(min(anew, default=n))
             change = self._back(first)
-            if change < cfg.still:
+            if change < ONLINE_STILL:
                 break
         return OnlineStep(i + 1, linearised, renewed, change)
 
@@ -428,7 +438,7 @@ class OnlineTeam:
         end = self._entries[-1]
         ends, hubs = np.split(solve(end.Lambda, end.eta), [3 * len(self.stretches[-1].exit)])
         change = float(np.abs(hubs - self.h).max(initial=0.0))
-        latest = max(0, len(self.stretches) - self.online.window)
+        latest = max(0, len(self.stretches) - ONLINE_WINDOW)
         self.h = hubs
         for k in reversed(range(first, len(self.stretches))):
             s, link, step = self.stretches[k], self._links[k], self._passed[k]

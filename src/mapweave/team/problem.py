@@ -19,7 +19,7 @@ from ..landmarks.landmark_map import LandmarkMap
 from ..laser.robot_graph import RobotGraph
 from ..solve import Cauchy, Factor, Pattern, Problem, Solution, SolveConfig, minimise, wrapping
 from .commanded_motion import CommandedMotion
-from .config import CalibrationPrior, SmoothingConfig
+from .config import MOTION_NOISE_HOLD, MOTION_NOISE_OUTLIER, CalibrationPrior, SmoothingConfig
 from .factors import InterRobotEdge, inter_robot_factor, scan_factor, sighting_factors, step_factor
 from .known import PlacePriors
 from .robot_part import (
@@ -145,7 +145,7 @@ def team_problem(
             at[k],
             int(starts[k]),
             first_parameter + len(PARAMETERS) * k,
-            None if log.odometry is None or log.robot in scans else CommandedMotion.of(log.odometry, cfg.motion.hold),
+            None if log.odometry is None or log.robot in scans else CommandedMotion.of(log.odometry, MOTION_NOISE_HOLD),
             scans.get(log.robot),
         )
         for k, log in enumerate(logs)
@@ -170,11 +170,11 @@ def team_problem(
             terms.append(term)
             origins.append(Origin(k, t))
             used[term.name] = used.get(term.name, 0) + len(term.columns)
-    for term in _scan_terms(parts, crossings, cfg):
+    for term in _scan_terms(parts, crossings):
         terms.append(term)
         origins.append(None)
         used[term.name] = used.get(term.name, 0) + len(term.columns)
-    places = known.factors(parts, where, cfg.known) if known else []
+    places = known.factors(parts, where) if known else []
     terms += places
     origins += [None] * len(places)
     framed = np.concatenate([np.zeros(0, int), *(term.columns[:, 0] for term in places)]).astype(int)
@@ -196,7 +196,7 @@ def _nodes(n: int, landmarks: int, parameters: int) -> Int[np.ndarray, " n"]:
     return np.where(at < landmarks, at // 3, np.where(at < parameters, place, n + (at - parameters) // len(PARAMETERS)))
 
 
-def _scan_terms(parts: Sequence[RobotPart], crossings: Sequence[InterRobotEdge], cfg: SmoothingConfig) -> list[Factor]:
+def _scan_terms(parts: Sequence[RobotPart], crossings: Sequence[InterRobotEdge]) -> list[Factor]:
     """Every robot's own pose graph, and for each pair of robots their keyframes that were matched."""
     terms = [scan_factor(part, part.scans) for part in parts if part.scans is not None and len(part.scans) > 1]
     by = {part.robot: part for part in parts}
@@ -204,7 +204,7 @@ def _scan_terms(parts: Sequence[RobotPart], crossings: Sequence[InterRobotEdge],
     for crossing in crossings:
         if crossing.a in by and crossing.b in by:
             pairs.setdefault((crossing.a, crossing.b), []).append(crossing)
-    return terms + [inter_robot_factor(by[a], by[b], edges, cfg.motion.outlier) for (a, b), edges in pairs.items()]
+    return terms + [inter_robot_factor(by[a], by[b], edges, MOTION_NOISE_OUTLIER) for (a, b), edges in pairs.items()]
 
 
 def _first_of_groups(

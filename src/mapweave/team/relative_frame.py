@@ -22,8 +22,47 @@ from ..core.rows import spread
 from ..kernels.landmarks.relation import relation_normal
 from ..laser.scan_odometry import blended
 from .commanded_motion import CommandedMotion
-from .config import SmoothingConfig
+from .config import MOTION_NOISE_HOLD, SmoothingConfig
 from .robot_part import all_seen
+
+PLACING_HEADINGS = 72  # tried, of a full turn
+PLACING_ROUNDS = 8  # of reweighting, a heading
+PLACING_MOST = 400  # sightings looked at
+SHARP_RANGE = 0.5  # of the error of a range, and
+SHARP_BEARING = 0.4  # of a bearing, that is the sighting's own: as along tracks that are good
+PLACING_INLIER = 3.0  # standard deviations within which a sighting agrees
+PLACING_LEAST = 4  # sightings that agree,
+PLACING_SHARE = 0.45  # and their share of all
+PLACING_LEAD = 3.0  # cost by which any other heading must be worse
+PLACING_APART = 0.6  # [rad] from which another heading is another one
+SURE_THETA = 0.3  # [rad] sd of its turn, at most
+WINDOW_REACH = 0.7  # of such a window, either way of its middle, in which the robot is where it says
+REGAINED_SHARE = 0.3  # the same of a robot whose own map does not fit the others',
+REGAINED_WINDOW = 6.0  # [s] over which its wheels are trusted,
+LOST_SHARE = 0.6  # of a robot's sightings: its filter was lost where fewer agree with its track, and
+PLACING_BETTER = 1.1  # times as many must agree with another
+FIXED_WINDOW = 2.0  # [s] either way, in which sightings must fix a robot without wheels
+PLACING_CLOCK = 3.0  # [s] largest offset of a clock that is looked for
+CLOCK_STEP = 0.25  # [s] between two that are tried, which is halved
+PLACING_CLOCK_STILL = 0.01  # [s] down to this
+CLOCK_LEAD = 10.0  # cost by which an offset must be better than none
+PLACING_CLOCK_SURE = 3.0  # standard deviations from which a fine offset is believed,
+PLACING_CLOCK_ROUNDS = 3  # smoothing again after each,
+CLOCK_FINE = 0.6  # [s] looked for either way then,
+CLOCK_FINE_STEP = 0.1  # [s] between two that are tried then
+CLOCK_SIGHTINGS = 20  # of the robot or by it, at least
+CLOCK_TOGETHER = 3.0  # times the sd that independent sightings would give: a camera's errors last seconds
+PLACING_LEVER = 2.0  # times as far as a tie may be off where robots meet, frames may be off where they begin
+PLACING_NEAR = 0.5  # [m] by which two places of one loose robot may contradict its wheels, and
+PLACING_NEAR_SHARE = 0.3  # as a share of what they drove, or [m/s] of a robot without
+NEAR_DRIFT = 0.05  # [rad/s] that the same wheels may turn more than they say
+SAME_XY = 0.05  # [m] and
+SAME_THETA = 0.02  # [rad] sd of a tie by two tracks of one robot
+ROOM_REACH = 0.5  # [s] of a known pose in which a robot sights those of landmarks mapped apart
+PLACING_LEAP = 4.0  # standard deviations of its speed that a robot without odometry cannot have gone
+PLACING_UNSURE = 1.0  # [m] sd of a landmark that bearings alone place, when the smoothing begins
+PLACING_GUESSED = 3.0  # [rad^2] variance of a heading from which a pose is a guess between pieces of a map
+WALLS_OFF = 3.0  # standard deviations of a tie by which walls may put a robot elsewhere and be believed
 
 FARTHEST = 1e3  # [m] of a shift that says nothing
 LONGER = (2.0, 4.0)  # times as long a robot without wheels may be taken to stand, where it is sighted too rarely
@@ -34,58 +73,20 @@ Labels = Mapping[str, Mapping[str, str]]
 class PlacingConfig:
     """When frames are tied; noise is that of sightings and of the tracks they are made from together."""
 
-    headings: int = 72  # tried, of a full turn
-    rounds: int = 8  # of reweighting, a heading
-    most: int = 400  # sightings looked at
     range_floor: float = 0.25  # [m] error of a range,
     range_share: float = 0.1  # and as a share of it
     bearing: float = 0.08  # [rad] error of a bearing
-    sharp_range: float = 0.5  # of the error of a range, and
-    sharp_bearing: float = 0.4  # of a bearing, that is the sighting's own: as along tracks that are good
-    inlier: float = 3.0  # standard deviations within which a sighting agrees
-    least: int = 4  # sightings that agree,
-    share: float = 0.45  # and their share of all
-    lead: float = 3.0  # cost by which any other heading must be worse
-    apart: float = 0.6  # [rad] from which another heading is another one
     sure_xy: float = 0.6  # [m] sd of a tie, at most
-    sure_theta: float = 0.3  # [rad] sd of its turn, at most
     window: float = 12.0  # [s] over which bare wheels are trusted,
     window_still: float = 1.2  # [s] over which a robot without wheels is taken to stand
-    window_reach: float = 0.7  # of such a window, either way of its middle, in which the robot is where it says
     loose_share: float = 0.25  # share of a loose robot's sightings that must agree with where they place it
-    regained_share: float = 0.3  # the same of a robot whose own map does not fit the others',
-    regained_window: float = 6.0  # [s] over which its wheels are trusted,
-    lost_share: float = 0.6  # of a robot's sightings: its filter was lost where fewer agree with its track, and
-    better: float = 1.1  # times as many must agree with another
-    fixed_window: float = 2.0  # [s] either way, in which sightings must fix a robot without wheels
-    clock: float = 3.0  # [s] largest offset of a clock that is looked for
-    clock_step: float = 0.25  # [s] between two that are tried, which is halved
-    clock_still: float = 0.01  # [s] down to this
-    clock_lead: float = 10.0  # cost by which an offset must be better than none
-    clock_sure: float = 3.0  # standard deviations from which a fine offset is believed,
-    clock_rounds: int = 3  # smoothing again after each,
-    clock_fine: float = 0.6  # [s] looked for either way then,
-    clock_fine_step: float = 0.1  # [s] between two that are tried then
-    clock_sightings: int = 20  # of the robot or by it, at least
-    clock_together: float = 3.0  # times the sd that independent sightings would give: a camera's errors last seconds
-    lever: float = 2.0  # times as far as a tie may be off where robots meet, frames may be off where they begin
-    near: float = 0.5  # [m] by which two places of one loose robot may contradict its wheels, and
-    near_share: float = 0.3  # as a share of what they drove, or [m/s] of a robot without
-    near_drift: float = 0.05  # [rad/s] that the same wheels may turn more than they say
-    same_xy: float = 0.05  # [m] and
-    same_theta: float = 0.02  # [rad] sd of a tie by two tracks of one robot
-    room_reach: float = 0.5  # [s] of a known pose in which a robot sights those of landmarks mapped apart
-    leap: float = 4.0  # standard deviations of its speed that a robot without odometry cannot have gone
-    unsure: float = 1.0  # [m] sd of a landmark that bearings alone place, when the smoothing begins
-    guessed: float = 3.0  # [rad^2] variance of a heading from which a pose is a guess between pieces of a map
-    walls_off: float = 3.0  # standard deviations of a tie by which walls may put a robot elsewhere and be believed
 
 
 def sharpened(cfg: PlacingConfig) -> PlacingConfig:
     """The same with the noise of sightings alone, as from tracks that are good."""
-    s = cfg.sharp_range
+    s = SHARP_RANGE
     return replace(
-        cfg, range_floor=s * cfg.range_floor, range_share=s * cfg.range_share, bearing=cfg.sharp_bearing * cfg.bearing
+        cfg, range_floor=s * cfg.range_floor, range_share=s * cfg.range_share, bearing=SHARP_BEARING * cfg.bearing
     )
 
 
@@ -155,10 +156,10 @@ def costs(z: MutualSightings, T: Float[np.ndarray, "... 3"], cfg: PlacingConfig)
 
 def relate(z: MutualSightings, cfg: PlacingConfig) -> Relation | None:
     """Where frame b lies in a; None where too few sightings agree, or another heading explains them as well."""
-    if len(z) < cfg.least:
+    if len(z) < PLACING_LEAST:
         return None
-    z = z.select(spread(len(z), cfg.most))
-    heading = 2 * np.pi * np.arange(cfg.headings) / cfg.headings
+    z = z.select(spread(len(z), PLACING_MOST))
+    heading = 2 * np.pi * np.arange(PLACING_HEADINGS) / PLACING_HEADINGS
     T = np.column_stack([_shifts(z, heading, cfg), heading])
     cost = costs(z, T, cfg)
     best = _refined(z, T[int(np.argmin(cost))], cfg)
@@ -166,33 +167,33 @@ def relate(z: MutualSightings, cfg: PlacingConfig) -> Relation | None:
         return None
     transform, cov = best
     least = float(costs(z, transform, cfg))
-    others = np.abs(se2.wrap_angle(heading - transform[2])) > cfg.apart
+    others = np.abs(se2.wrap_angle(heading - transform[2])) > PLACING_APART
     for rival in T[others][np.argsort(cost[others])[:3]]:
         again = _refined(z, rival, cfg)
-        if again is None or np.abs(se2.wrap_angle(again[0][2] - transform[2])) < cfg.apart:
+        if again is None or np.abs(se2.wrap_angle(again[0][2] - transform[2])) < PLACING_APART:
             continue
         other = float(costs(z, again[0], cfg))
         if other < least - 1e-9:
             (transform, cov), least, other = again, other, least
-        if other < least + cfg.lead:
+        if other < least + PLACING_LEAD:
             return None
-    agree = int((np.square(residuals(z, transform, cfg)).sum(axis=-1) < cfg.inlier**2).sum())
-    if agree < max(cfg.least, cfg.share * len(z)):
+    agree = int((np.square(residuals(z, transform, cfg)).sum(axis=-1) < PLACING_INLIER**2).sum())
+    if agree < max(PLACING_LEAST, PLACING_SHARE * len(z)):
         return None
     return Relation(transform, cov, agree, len(z), least)
 
 
 def point_seen(z: MutualSightings, cfg: PlacingConfig) -> Float[np.ndarray, "2"] | None:
     """Where the one point lies that all sightings from frame a are of; None where they do not tell."""
-    if len(z) < cfg.least:
+    if len(z) < PLACING_LEAST:
         return None
     origin = replace(z, point=np.zeros((len(z), 2)), forward=np.ones(len(z), bool))
     estimate = _refined(origin, np.append(_shifts(origin, np.zeros(1), cfg)[0], 0.0), cfg, turns=False)
     if estimate is None:
         return None
     transform, cov = estimate
-    agree = int((np.square(residuals(origin, transform, cfg)).sum(axis=-1) < cfg.inlier**2).sum())
-    enough = agree >= max(cfg.least, cfg.share * len(z))
+    agree = int((np.square(residuals(origin, transform, cfg)).sum(axis=-1) < PLACING_INLIER**2).sum())
+    enough = agree >= max(PLACING_LEAST, PLACING_SHARE * len(z))
     return transform[:2] if enough and np.sqrt(np.diag(cov)[:2].max()) < cfg.sure_xy else None
 
 
@@ -201,7 +202,7 @@ def is_sure(relation: Relation | None, cfg: PlacingConfig) -> bool:
     if relation is None:
         return False
     sd = np.sqrt(np.diag(relation.cov))
-    return bool(max(sd[0], sd[1]) < cfg.sure_xy and sd[2] < cfg.sure_theta)
+    return bool(max(sd[0], sd[1]) < cfg.sure_xy and sd[2] < SURE_THETA)
 
 
 def _shifts(z: MutualSightings, heading: Float[np.ndarray, " k"], cfg: PlacingConfig) -> Float[np.ndarray, "k 2"]:
@@ -225,7 +226,7 @@ def _shifts(z: MutualSightings, heading: Float[np.ndarray, " k"], cfg: PlacingCo
     w_r = np.broadcast_to(ranged / sd_r**2, along.shape)
     t = np.zeros((len(heading), 2))
     weight = np.ones_like(across)
-    for _ in range(cfg.rounds):
+    for _ in range(PLACING_ROUNDS):
         a, b = weight * w_r, weight / sd_b**2
         A = np.einsum("km,kmi,kmj->kij", a, ray, ray) + np.einsum("km,kmi,kmj->kij", b, side, side)
         A += np.eye(2) / FARTHEST**2
@@ -468,7 +469,7 @@ def agreeing_sightings(
     rest = replace(body, tracks={name: track for name, track in body.tracks.items() if name != robot})
     z = mutual_sightings(rest, own, logs, labels)
     e = np.square(residuals(z, np.zeros(3), cfg)).sum(axis=-1) if len(z) else np.zeros(0)
-    return int((e < cfg.inlier**2).sum()), len(z)
+    return int((e < PLACING_INLIER**2).sum()), len(z)
 
 
 def _merged(
@@ -511,7 +512,7 @@ def _tie(
     """How b lies in a, and by how much the clock of the one that has its own is ahead; None when that is not sure."""
     shared = [robot for robot in a.robots if robot in b.tracks]
     if shared:
-        return _by_same_robot(a.tracks[shared[0]], b.tracks[shared[0]], cfg), 0.0
+        return _by_same_robot(a.tracks[shared[0]], b.tracks[shared[0]]), 0.0
     swap = a.own_clock and not b.own_clock
     first, second = (b, a) if swap else (a, b)
     seen = mutual_sightings(first, second, logs, labels)
@@ -535,26 +536,26 @@ def _with_clock(
 
     def at(clock: float) -> Relation | None:
         relation = relate(mutual_sightings(a, replace(b, clock=clock), logs, labels), sharp)
-        return None if relation is None or relation.of < 5 * cfg.least else relation
+        return None if relation is None or relation.of < 5 * PLACING_LEAST else relation
 
     def worth(relation: Relation | None) -> float:
         return np.inf if relation is None else relation.cost / relation.of
 
-    steps = round(cfg.clock / cfg.clock_step)
-    tried = {k * cfg.clock_step: at(k * cfg.clock_step) for k in range(-steps, steps + 1)}
+    steps = round(PLACING_CLOCK / CLOCK_STEP)
+    tried = {k * CLOCK_STEP: at(k * CLOCK_STEP) for k in range(-steps, steps + 1)}
     best = min(tried, key=lambda clock: (worth(tried[clock]), abs(clock)))
     relation, none = tried[best], tried[0.0]
-    if relation is None or (none is not None and (worth(none) - worth(relation)) * relation.of < cfg.clock_lead):
+    if relation is None or (none is not None and (worth(none) - worth(relation)) * relation.of < CLOCK_LEAD):
         return plain, 0.0
-    step = 0.5 * cfg.clock_step
-    while step > cfg.clock_still:
+    step = 0.5 * CLOCK_STEP
+    while step > PLACING_CLOCK_STILL:
         near = {c: at(c) for c in (best - step, best, best + step)}
         best = min(near, key=lambda clock: (worth(near[clock]), abs(clock)))
         step = 0.5 * step
     return relate(mutual_sightings(a, replace(b, clock=best), logs, labels), cfg), float(best)
 
 
-def _by_same_robot(a: Track, b: Track, cfg: PlacingConfig) -> Relation:
+def _by_same_robot(a: Track, b: Track) -> Relation:
     """How two tracks of one robot lie: the motion that lays most short pieces of one on the other."""
     t = np.arange(max(a.t[0], b.t[0]), min(a.t[-1], b.t[-1]), 1.0)
     if len(t) < 3:
@@ -564,7 +565,7 @@ def _by_same_robot(a: Track, b: Track, cfg: PlacingConfig) -> Relation:
     for _ in range(5):
         e = np.linalg.norm(se2.act(T, q[:, :2]) - p[:, :2], axis=1)
         T = se2.align(q[:, :2], p[:, :2], 1.0 / (1.0 + np.square(e / max(float(np.median(e)), 0.02))))
-    return Relation(T, np.diag([cfg.same_xy**2, cfg.same_xy**2, cfg.same_theta**2]), len(t), len(t), 0.0)
+    return Relation(T, np.diag([SAME_XY**2, SAME_XY**2, SAME_THETA**2]), len(t), len(t), 0.0)
 
 
 def _placed_next(
@@ -604,7 +605,7 @@ def carried_by_wheels(log: LandmarkLog, logs: Mapping[str, LandmarkLog], smoothi
         t = np.unique(np.concatenate(stamps))
         return Track(t, np.zeros((len(t), 3)))
     t = np.unique(np.concatenate([log.odometry.t, *stamps]))
-    motion, known = CommandedMotion.of(log.odometry, smoothing.motion.hold), smoothing.calibration
+    motion, known = CommandedMotion.of(log.odometry, MOTION_NOISE_HOLD), smoothing.calibration
     return Track(t, motion.at(t, known.speed_scale, known.turn_scale, known.lag)[0])
 
 
@@ -657,16 +658,16 @@ def _windows(
     """The robot's track in the group's frame, bent through every window that places it; how many sightings agree."""
     robot, driven = log.robot, log.odometry is not None
     windows = placed_windows(group, log, wheel_track, logs, labels, cfg)
-    if len(windows.seen) < cfg.least or not len(windows.t) or windows.agree < cfg.loose_share * len(windows.seen):
+    if len(windows.seen) < PLACING_LEAST or not len(windows.t) or windows.agree < cfg.loose_share * len(windows.seen):
         return None
-    times, anchors = _agreeing(windows.t, windows.place, wheel_track, cfg, driven=driven)
+    times, anchors = _agreeing(windows.t, windows.place, wheel_track, driven=driven)
     if not len(times):
         return None
     t = np.unique(np.concatenate([wheel_track.t, times]))
     base = se2.interpolate(t, wheel_track.t, wheel_track.pose)
     rows = np.searchsorted(t, times)
     pose = blended(base, rows, anchors) if driven else se2.interpolate(t, times, anchors)
-    body = Body({robot: Track(t, pose)}, {}, {robot: times}, {robot: cfg.window_reach * windows.length})
+    body = Body({robot: Track(t, pose)}, {}, {robot: times}, {robot: WINDOW_REACH * windows.length})
     return body, windows.agree, len(windows.seen)
 
 
@@ -687,7 +688,7 @@ def placed_alone(
 
 
 def _agreeing(
-    t: Float[np.ndarray, " k"], place: Float[np.ndarray, "k 3"], wheel_track: Track, cfg: PlacingConfig, *, driven: bool
+    t: Float[np.ndarray, " k"], place: Float[np.ndarray, "k 3"], wheel_track: Track, *, driven: bool
 ) -> tuple[Float[np.ndarray, " j"], Float[np.ndarray, "j 3"]]:
     """The places that follow from a neighbour as the wheels say, as far as that can be told."""
     if len(t) < 3:
@@ -696,8 +697,8 @@ def _agreeing(
     said = se2.between(base[:-1], base[1:])
     miss = se2.between(se2.compose(place[:-1], said), place[1:])
     way = np.hypot(said[:, 0], said[:, 1]) if driven else np.diff(t)
-    fits = np.hypot(miss[:, 0], miss[:, 1]) < cfg.near + cfg.near_share * way
+    fits = np.hypot(miss[:, 0], miss[:, 1]) < PLACING_NEAR + PLACING_NEAR_SHARE * way
     if driven:
-        fits &= np.abs(miss[:, 2]) < cfg.near + cfg.near_share * np.abs(said[:, 2]) + cfg.near_drift * np.diff(t)
+        fits &= np.abs(miss[:, 2]) < PLACING_NEAR + PLACING_NEAR_SHARE * np.abs(said[:, 2]) + NEAR_DRIFT * np.diff(t)
     keep = np.append(fits, False) | np.append(False, fits)
     return t[keep], place[keep]

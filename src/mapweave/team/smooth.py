@@ -22,7 +22,18 @@ from ..laser.scan_odometry import blended
 from ..solve import SingularError, Solution, SolveStatus
 from .clocks import RobotClock, clocks_of
 from .commanded_motion import LAG, TURN
-from .config import CameraNoise, ClockConfig, SmoothingConfig
+from .config import (
+    CLOCK_GAIN,
+    CLOCK_LEAST,
+    CLOCK_ROUNDS,
+    CLOCK_STILL,
+    CLOCK_SURE,
+    CLOCK_SUSPECT,
+    CLOCK_TRIED,
+    GAIN_SURE,
+    CameraNoise,
+    SmoothingConfig,
+)
 from .covariance import TeamCovariance, team_covariance
 from .factors import InterRobotEdge
 from .known import PlacePriors
@@ -135,7 +146,7 @@ def smooth(
         prior=_prior(cfg),
         notes=notes,
         cost=solution.cost,
-        clocks=clocks_of(problem, solution, cfg.clocks.suspect, cfg.cluster, clocks),
+        clocks=clocks_of(problem, solution, CLOCK_SUSPECT, cfg.cluster, clocks),
     )
 
 
@@ -255,22 +266,20 @@ def smooth_on_one_clock(
     limits = cfg.clocks
     as_is = done = on({})
     ahead: dict[str, float] = {}
-    for _ in range(limits.rounds):
-        wrong = _wrong(done, ahead, limits)
+    for _ in range(CLOCK_ROUNDS):
+        wrong = _wrong(done, ahead)
         if not wrong or done.refused:
             break
         ahead.update({robot: ahead.get(robot, 0.0) + by for robot, by in wrong.items()})
         done = on(ahead)
     offsets = {
-        r: RobotClock(by, float(np.hypot(done.clocks[r].sd, limits.still)))
+        r: RobotClock(by, float(np.hypot(done.clocks[r].sd, CLOCK_STILL)))
         for r, by in ahead.items()
         if r in done.clocks and not done.refused
     }
     gain = _gain(as_is, done)
-    sure = {r: c for r, c in offsets.items() if _off(c, limits.sure, limits) and gain >= limits.gain_sure}
-    doubtful = {
-        r: c for r, c in offsets.items() if r not in sure and _off(c, limits.told, limits) and gain >= limits.gain
-    }
+    sure = {r: c for r, c in offsets.items() if _off(c, CLOCK_SURE) and gain >= GAIN_SURE}
+    doubtful = {r: c for r, c in offsets.items() if r not in sure and _off(c, limits.told) and gain >= CLOCK_GAIN}
     if set(sure) != set(ahead):
         done = on({r: c.ahead for r, c in sure.items()}) if sure else as_is
     notes = [*done.notes, *(_clock_off(r, c, right=True) for r, c in _in_order(sure))]
@@ -278,17 +287,17 @@ def smooth_on_one_clock(
     return replace(done, notes=tuple(notes), clocks=sure)
 
 
-def _wrong(done: Smoothed, corrected: Mapping[str, float], cfg: ClockConfig) -> dict[str, float]:
+def _wrong(done: Smoothed, corrected: Mapping[str, float]) -> dict[str, float]:
     """By how much [s] the stamps are to be moved yet; those of robots moved before, until they are still."""
     return {
         robot: clock.ahead
         for robot, clock in done.clocks.items()
-        if abs(clock.ahead) >= (cfg.still if robot in corrected else max(cfg.least, cfg.tried * clock.sd))
+        if abs(clock.ahead) >= (CLOCK_STILL if robot in corrected else max(CLOCK_LEAST, CLOCK_TRIED * clock.sd))
     }
 
 
-def _off(clock: RobotClock, deviations: float, cfg: ClockConfig) -> bool:
-    return abs(clock.ahead) >= max(cfg.least, deviations * clock.sd)
+def _off(clock: RobotClock, deviations: float) -> bool:
+    return abs(clock.ahead) >= max(CLOCK_LEAST, deviations * clock.sd)
 
 
 def _gain(before: Smoothed, after: Smoothed) -> float:

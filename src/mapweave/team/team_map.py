@@ -18,6 +18,8 @@ from ..core.records import Track
 from ..fusion.result import Fusion
 from ..landmarks.landmark_map import LandmarkMap, LocalMap
 from .relative_frame import (
+    PLACING_GUESSED,
+    ROOM_REACH,
     Body,
     MutualSightings,
     PlacingConfig,
@@ -114,21 +116,21 @@ def with_further_rooms(
     A room is tied where its place is sure by sightings between robots (`placing`). mapper, join, carry: how local maps,
     their fusion and the team's maps come about. A team in which everybody tells odometry comes back as it is.
     """
-    own = {m.robot: _known(m.track, placing) for m in local}
+    own = {m.robot: _known(m.track) for m in local}
     wheelless = [log for log in logs if log.odometry is None and log.robot in team.tracks and not own[log.robot].all()]
     left = [_rest(log, team.tracks[log.robot].t[~own[log.robot]]) for log in wheelless]
     apart = [m for m in map(mapper, [log for log in left if len(log.sightings)]) if len(m.submap.ids) >= LEAST]
     if not apart or not len(team.landmarks):
         return team, ()
-    here = {robot: track.t[_placed(track, own[robot], placing)] for robot, track in team.tracks.items() if robot in own}
-    there = {m.robot: m.track.t[_known(m.track, placing)] for m in apart}
+    here = {robot: track.t[_placed(track, own[robot])] for robot, track in team.tracks.items() if robot in own}
+    there = {m.robot: m.track.t[_known(m.track)] for m in apart}
     by = {log.robot: log for log in logs}
     notes = []
     for room in carry(apart, join(apart)):
         names = [name for name in room.landmarks.ids if name not in team.landmarks.ids]
         if len(names) < LEAST:
             continue
-        seen = _between(team, here, room, there, by, placing.room_reach)
+        seen = _between(team, here, room, there, by, ROOM_REACH)
         relation = relate(seen, placing)
         if relation is None or not is_sure(relation, placing):
             continue
@@ -145,16 +147,16 @@ def with_further_rooms(
     return team, tuple(notes)
 
 
-def _known(track: Track, cfg: PlacingConfig) -> Bool[np.ndarray, " n"]:
+def _known(track: Track) -> Bool[np.ndarray, " n"]:
     """Which poses of a robot's own map are of one of its pieces."""
     if track.cov is None:
         return np.ones(len(track.t), bool)
-    return np.asarray(track.cov[:, 2, 2] < cfg.guessed)
+    return np.asarray(track.cov[:, 2, 2] < PLACING_GUESSED)
 
 
-def _placed(track: Track, own: Bool[np.ndarray, " m"], cfg: PlacingConfig) -> Bool[np.ndarray, " n"]:
+def _placed(track: Track, own: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " n"]:
     """Which poses of the team's track are known; a robot put down elsewhere has more of them than its own map."""
-    return own if len(own) == len(track.t) else _known(track, cfg)
+    return own if len(own) == len(track.t) else _known(track)
 
 
 def _rest(log: LandmarkLog, stamps: Float[np.ndarray, " n"]) -> LandmarkLog:

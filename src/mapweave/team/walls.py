@@ -19,7 +19,7 @@ from ..mapping.merge import Merge, merge_maps
 from ..mapping.merge_search import Start
 from ..mapping.weave import Woven, weave
 from .factors import InterRobotEdge
-from .relative_frame import Body, Layout, PlacingConfig, Tie, moved_track
+from .relative_frame import PLACING_LEVER, SURE_THETA, WALLS_OFF, Body, Layout, PlacingConfig, Tie, moved_track
 
 NEAR = 0.01  # [s] by which a stamp may lie outside a track
 
@@ -126,7 +126,7 @@ def _near_the_layout(
     placing: PlacingConfig,
 ) -> dict[tuple[int, int], Merge]:
     """What is decided on laser robots of one body, by their places among `robots`, until walls tie them all."""
-    sd = np.array([*2 * [placing.lever * placing.sure_xy], placing.sure_theta])
+    sd = np.array([*2 * [PLACING_LEVER * placing.sure_xy], SURE_THETA])
     out: dict[tuple[int, int], Merge] = {}
     for body in layout.bodies:
         mine = [k for k, robot in enumerate(robots) if robot in body.tracks]
@@ -154,7 +154,7 @@ def _unless_far(merge: Merge, start: Start, track: Track, placing: PlacingConfig
     assert merge.transform is not None  # noqa: S101  (merged)
     ways = [se2.act(T, track.pose[:, :2]) for T in (start.transform, merge.transform)]
     away = float(np.hypot(*(ways[1] - ways[0]).T).mean())
-    if away <= placing.walls_off * np.sqrt(2.0) * placing.sure_xy:
+    if away <= WALLS_OFF * np.sqrt(2.0) * placing.sure_xy:
         return merge
     reason = f"their walls fit {away:.1f} m from where sightings of the team place them"
     return replace(merge, merged=False, transform=None, covariance=None, reason=reason)

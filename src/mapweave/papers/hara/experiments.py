@@ -17,7 +17,7 @@ from ...evaluation.trajectory import align_tracks, ate
 from ...io.kept import part
 from ...laser.beam import Beams, beams
 from ...laser.config import PAPER_FILTER
-from ...laser.icp import IcpConfig
+from ...laser.icp import ICP_LEAST_PAIRS, IcpConfig
 from ...laser.laser_map import GridMap, LaserMap
 from ...laser.occupancy_mapper import render
 from ...laser.scan_matching import FrontEndConfig, allowed_sd
@@ -27,6 +27,13 @@ from ...mapping.laser_mapping import choose_feature, map_laser
 from ...sim.laser import DriveConfig, LaserSimulation, drive, ring, stream
 from ...sim.laser_worlds import CorridorConfig, corridor_world, simulate_corridor
 from .light_edges import at_truth, sharpened
+
+GLASS_SHARE = 0.25  # of the wall pieces
+GLASS_RETURNS = 0.1  # share of the beams on glass that come back
+SPARSE_EVERY = 24.0  # [m] driven between stretches of
+SPARSE_LENGTH = 6.0  # [m] in which
+SPARSE_RETURNS = 0.12  # this share of the beams comes back
+QUICK_TURN = 0.15  # [rad] between scans; in turns that are quicker no scan is kept
 
 # What a gate allows wheels like the simulated ones, which err by a few per cent: the paper's "found by experience".
 WHEELS = FrontEndConfig(sd_xy=0.01, sd_xy_per_m=0.06, sd_turn=0.01, sd_turn_per_m=0.02, sd_turn_per_rad=0.05)
@@ -95,12 +102,6 @@ class HardConfig:
     corridor: CorridorConfig = field(
         default_factory=lambda: CorridorConfig(recess=0.0, corner=0.3, drive=DriveConfig(people=3))
     )
-    glass_share: float = 0.25  # of the wall pieces
-    glass_returns: float = 0.1  # share of the beams on glass that come back
-    sparse_every: float = 24.0  # [m] driven between stretches of
-    sparse_length: float = 6.0  # [m] in which
-    sparse_returns: float = 0.12  # this share of the beams comes back
-    quick_turn: float = 0.15  # [rad] between scans; in turns that are quicker no scan is kept
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,22 +118,22 @@ def simulate_hard(cfg: HardConfig | None = None, seed: int = 0) -> HardDrive:
     c = cfg.corridor
     rng = stream(seed, "hard")
     world = corridor_world(c, seed)
-    glass = rng.random(len(world.reflectance)) < cfg.glass_share
+    glass = rng.random(len(world.reflectance)) < GLASS_SHARE
     world = replace(world, reflectance=frozen(np.where(glass, GLASS, world.reflectance)))
     sim = drive(world, ring(c.long_leg, c.short_leg, c.corner, c.distance, c.start), c.drive, seed)
     log = sim.log
     truth = se2.interpolate(log.scan_t, sim.truth.t, sim.truth.pose)
     step = se2.between(truth[:-1], truth[1:])
     way = np.concatenate([[0.0], np.cumsum(np.hypot(step[:, 0], step[:, 1]))])
-    sparse = (way % cfg.sparse_every) > cfg.sparse_every - cfg.sparse_length
+    sparse = (way % SPARSE_EVERY) > SPARSE_EVERY - SPARSE_LENGTH
     turn = np.abs(np.concatenate([[0.0], step[:, 2]]))
-    inside = (turn > cfg.quick_turn) & np.roll(turn > cfg.quick_turn, -1)
+    inside = (turn > QUICK_TURN) & np.roll(turn > QUICK_TURN, -1)
     kept = np.flatnonzero(~inside)
     scans = []
     for k in kept.tolist():
         draw = rng.random((2, len(log.scans[k].ranges)))
-        lost = (sim.reflectance[k] == GLASS) & (draw[0] > cfg.glass_returns)
-        lost |= sparse[k] & (draw[1] > cfg.sparse_returns)
+        lost = (sim.reflectance[k] == GLASS) & (draw[0] > GLASS_RETURNS)
+        lost |= sparse[k] & (draw[1] > SPARSE_RETURNS)
         scans.append(_without(log.scans[k], lost))
     log = replace(log, scan_t=frozen(log.scan_t[kept]), scans=tuple(scans))
     return HardDrive(replace(sim, log=log, reflectance=frozen(sim.reflectance[kept])), kept)
@@ -452,13 +453,11 @@ def try_gate(seeds: range, hard: HardConfig | None = None, on_progress: Progress
             laser_map = map_laser(sim.log, cfg, seed)
             if not row and laser_map.dead_reckoning is not None:
                 measured[0].append((score(laser_map.dead_reckoning, sim.truth), len(sim.log.scans), 0, 0, 0, 0))
-            measured[row + 1].append(
-                (score(laser_map.track, sim.truth), len(sim.log.scans), *judged(laser_map, sim, cfg))
-            )
+            measured[row + 1].append((score(laser_map.track, sim.truth), len(sim.log.scans), *judged(laser_map, sim)))
     return tuple(GateRow(*head, *np.array(rows, float).T) for head, rows in zip(heads, measured, strict=True))
 
 
-def judged(laser_map: LaserMap, sim: LaserSimulation, cfg: LaserConfig) -> tuple[int, int, int, int]:
+def judged(laser_map: LaserMap, sim: LaserSimulation) -> tuple[int, int, int, int]:
     """few, outside, rightly, slipped of one drive; see `GateRow`."""
     truth = se2.interpolate(sim.log.scan_t, sim.truth.t, sim.truth.pose)
     step = se2.between(truth[:-1], truth[1:])
@@ -468,7 +467,7 @@ def judged(laser_map: LaserMap, sim: LaserSimulation, cfg: LaserConfig) -> tuple
     for k in range(1, len(sim.log.scans)):
         if laser_map.scans.decision[k] not in {"matched", "odometry"}:
             continue
-        if laser_map.scans.matches[k] < cfg.icp.least_pairs:
+        if laser_map.scans.matches[k] < ICP_LEAST_PAIRS:
             few += 1
             continue
         eps = GATED.eps(allowed_sd(u[k - 1], WHEELS))

@@ -13,22 +13,31 @@ from ...core.workers import Progress, no_progress
 from ...fusion.relative_information import Measurement, RelativeLayout, Weights, baseline_pair, measurement
 from . import rls
 from .rls import solve_all
-from .world import SEEN, KojimaConfig, LocalMaps, Worlds, run_filters
+from .world import (
+    KOJIMA_PRIOR_FRAME_VARIANCE,
+    PRIOR_LANDMARK_VARIANCE,
+    RLS_VARIANCE,
+    SEEN,
+    KojimaConfig,
+    LocalMaps,
+    Worlds,
+    run_filters,
+)
+
+UNEQUAL_N = 10  # n
+UNEQUAL_M = 6  # m
+UNEQUAL_ARENA = 1.5  # [m]
+UNEQUAL_SMALLEST = 0.002  # [m]
+UNEQUAL_LARGEST = 0.05  # [m]
 
 
 @config
 class UnequalConfig:
     """Two maps of n landmarks each, m in common; every landmark of each map has its own deviation, log-uniform."""
 
-    n: int = 10
-    m: int = 6
-    arena: float = 1.5  # [m]
-    smallest: float = 0.002  # [m]
-    largest: float = 0.05  # [m]
-
     @property
     def total(self) -> int:
-        return 2 * self.n - self.m
+        return 2 * UNEQUAL_N - UNEQUAL_M
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,18 +57,18 @@ class UnequalMaps:
 
 def draw_unequal(cfg: UnequalConfig, count: int, rng: np.random.Generator) -> UnequalMaps:
     """`count` worlds whose maps err as their covariances say."""
-    landmarks = rng.uniform(0.0, cfg.arena, (count, cfg.total, 2))
-    frame = rng.uniform([-cfg.arena, -cfg.arena, -np.pi], [cfg.arena, cfg.arena, np.pi], (count, 3))
-    index = (np.arange(cfg.n), np.r_[np.arange(cfg.m), np.arange(cfg.n, cfg.total)])
+    landmarks = rng.uniform(0.0, UNEQUAL_ARENA, (count, cfg.total, 2))
+    frame = rng.uniform([-UNEQUAL_ARENA, -UNEQUAL_ARENA, -np.pi], [UNEQUAL_ARENA, UNEQUAL_ARENA, np.pi], (count, 3))
+    index = (np.arange(UNEQUAL_N), np.r_[np.arange(UNEQUAL_M), np.arange(UNEQUAL_N, cfg.total)])
     local = np.stack([landmarks[:, index[0]], se2.act(se2.inverse(frame)[:, None], landmarks[:, index[1]])], axis=1)
-    sigma = np.exp(rng.uniform(np.log(cfg.smallest), np.log(cfg.largest), (count, 2, cfg.n)))
+    sigma = np.exp(rng.uniform(np.log(UNEQUAL_SMALLEST), np.log(UNEQUAL_LARGEST), (count, 2, UNEQUAL_N)))
     variance = np.repeat(sigma**2, 2, axis=-1)
     return UnequalMaps(
         landmarks=landmarks,
         frame=frame,
         index=index,
         mean=local + sigma[..., None] * rng.standard_normal(local.shape),
-        cov=variance[..., None] * np.eye(2 * cfg.n),
+        cov=variance[..., None] * np.eye(2 * UNEQUAL_N),
     )
 
 
@@ -86,9 +95,9 @@ class Settling:
     printed: Float[np.ndarray, " s"]
 
 
-def prior_information(cfg: KojimaConfig) -> Float[np.ndarray, "n n"]:
+def prior_information() -> Float[np.ndarray, "n n"]:
     """The inverse of the paper's `P^G_800`."""
-    return np.diag(1 / np.r_[np.full(3, cfg.prior_frame_variance), np.full(16, cfg.prior_landmark_variance)])
+    return np.diag(1 / np.r_[np.full(3, KOJIMA_PRIOR_FRAME_VARIANCE), np.full(16, PRIOR_LANDMARK_VARIANCE)])
 
 
 def settling(
@@ -119,7 +128,7 @@ def _settling(
     x: Float[np.ndarray, "s n"],
 ) -> Settling:
     measured = measurement(1, index, mean, cov, "paper", delta=cfg.delta)
-    information = prior_information(cfg)
+    information = prior_information()
     spreads = np.empty((4, len(x)))
     for s, (H, R) in enumerate(zip(measured.dense_jacobian(LAYOUT, x), measured.R, strict=True)):
         P_inf = rls.limit(information, H)
@@ -175,7 +184,7 @@ def merge_online(
     maps = run_filters(cfg, worlds, rng)
     on_progress("driving", 0, None)
     first = next(maps)
-    estimates = dict.fromkeys(keys, _initial(cfg, first))
+    estimates = dict.fromkeys(keys, _initial(first))
     traces: dict[tuple, list[np.ndarray]] = {key: [_trace(estimates[key])] for key in keys}
     for step, local in enumerate(maps):
         on_progress("merging", step + 1, cfg.steps - cfg.drive_steps)
@@ -187,18 +196,16 @@ def merge_online(
     return tuple(_run(cfg, worlds, key, estimates[key], traces[key], first) for key in keys), first
 
 
-def _initial(cfg: KojimaConfig, local: LocalMaps) -> rls.Estimate:
+def _initial(local: LocalMaps) -> rls.Estimate:
     """The paper's start: robot 1's map, robot 2's fitted onto it by the two common landmarks, and a wide prior."""
     T = np.stack([se2.align(m[1, :2], m[0, :2]) for m in local.mean])
     points = np.concatenate([local.mean[:, 0], se2.act(T[:, None], local.mean[:, 1, 2:])], axis=1)
     x = np.concatenate([T, points.reshape(len(T), -1)], axis=1)
-    return rls.Estimate(x, np.tile(np.linalg.inv(prior_information(cfg)), (len(T), 1, 1)))
+    return rls.Estimate(x, np.tile(np.linalg.inv(prior_information()), (len(T), 1, 1)))
 
 
 def _measure(cfg: KojimaConfig, local: LocalMaps, k: int, weights: Weights) -> Measurement:
-    return measurement(
-        k, SEEN[k], local.mean[:, k], local.cov[:, k], weights, delta=cfg.delta, variance=cfg.rls_variance
-    )
+    return measurement(k, SEEN[k], local.mean[:, k], local.cov[:, k], weights, delta=cfg.delta, variance=RLS_VARIANCE)
 
 
 def _trace(estimate: rls.Estimate) -> Float[np.ndarray, " s"]:
@@ -218,7 +225,7 @@ def _run(
     limit = 0.0
     if reading == "prior":
         H = _measure(cfg, first, 1, weights).dense_jacobian(LAYOUT, estimate.x)
-        limit = float(np.mean([np.trace(rls.limit(prior_information(cfg), each)) for each in H]))
+        limit = float(np.mean([np.trace(rls.limit(prior_information(), each)) for each in H]))
     return Run(
         reading=reading,
         weights=weights,
@@ -280,7 +287,7 @@ def unequal(
     out = []
     for at, (rule, weights) in enumerate(cases):
         on_progress("unequal maps", at, len(cases))
-        x = np.stack([_fuse_unequal(cfg, layout, worlds, s, rule, weights) for s in range(seeds)])
+        x = np.stack([_fuse_unequal(layout, worlds, s, rule, weights) for s in range(seeds)])
         landmark = np.sum((layout.points(x) - worlds.landmarks) ** 2, axis=-1)
         frame = np.sum((x[:, :2] - worlds.frame[:, :2]) ** 2, axis=-1)
         out.append(Unequal(rule, weights, float(np.sqrt(landmark.mean())), float(np.sqrt(frame.mean()))))
@@ -288,13 +295,13 @@ def unequal(
 
 
 def _fuse_unequal(
-    cfg: UnequalConfig, layout: RelativeLayout, worlds: UnequalMaps, s: int, rule: Rule, weights: Weights
+    layout: RelativeLayout, worlds: UnequalMaps, s: int, rule: Rule, weights: Weights
 ) -> Float[np.ndarray, " size"]:
     measurements = []
     for k in (0, 1):
         mean, cov = worlds.mean[s, k], worlds.cov[s, k]
-        pair = _pair(rule, mean, cov, cfg.m)
-        order = np.array([*pair, *(i for i in range(cfg.n) if i not in pair)])
+        pair = _pair(rule, mean, cov, UNEQUAL_M)
+        order = np.array([*pair, *(i for i in range(UNEQUAL_N) if i not in pair)])
         rows = (2 * order[:, None] + np.arange(2)).ravel()
         measurements.append(measurement(k, worlds.index[k][order], mean[order], cov[np.ix_(rows, rows)], weights))
     x0 = np.concatenate([worlds.frame[s], worlds.landmarks[s].ravel()])

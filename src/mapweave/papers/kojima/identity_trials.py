@@ -7,7 +7,7 @@ import numpy as np
 from ...core import se2
 from ...core.workers import Progress, no_progress
 from ...fusion.alignment import joint_fit, log_correspondences, log_evidence, spread_area
-from ...fusion.identities import IdentityConfig, match_maps
+from ...fusion.identities import IDENTITY_CHANCE, IdentityConfig, match_maps
 from ...landmarks.landmark_map import LandmarkMap
 
 POINTS, SIZE, SIGMA = 20, 3.0, 0.01  # landmarks a map, side of the square [m], deviation [m]
@@ -67,7 +67,7 @@ def most_without_wrong(rows: tuple[IdentityTrials, ...], common: int) -> tuple[f
     return float(np.exp(strongest)), sum(e > strongest for e in asked.evidence_right)
 
 
-def oracle(rows: tuple[IdentityTrials, ...], common: int, odds: float = EXACT.chance) -> int:
+def oracle(rows: tuple[IdentityTrials, ...], common: int, odds: float = IDENTITY_CHANCE) -> int:
     """In how many trials even the true links, all of them and no other, have odds against chance of `odds` or more.
 
     No test that believes at these odds believes more of them: more evidence than the true links is evidence for others.

@@ -32,7 +32,7 @@ from .measured import (
     draw_local_map,
     draw_trace,
 )
-from .world import KojimaConfig, draw_worlds
+from .world import KOJIMA_RADIUS, KojimaConfig, draw_worlds
 
 COMMAND = "reproduce kojima"
 THEOREMS = "papers/test_relative_theorems.py"
@@ -471,7 +471,7 @@ def reproduce_kojima(
     seeds, draws, unequal_seeds, trials = (20, 100, 60, 10) if quick else (200, 10, 400, 100)
     cfg = KojimaConfig()
     drawn, driven, again, pairs = (np.random.default_rng([seed, k]) for k in range(4))
-    worlds = draw_worlds(cfg, seeds, drawn)
+    worlds = draw_worlds(seeds, drawn)
     runs, first = part(merge_online, cfg, worlds, driven, on_progress=on_progress)
     merged = perf_counter()
     nees = honesty(worlds, first, draws, again)
@@ -511,7 +511,7 @@ def _pictures(result: KojimaReproduction) -> FigureData:
         },
         truth=result.worlds.landmarks[0],
         start=result.worlds.start[0],
-        radius=result.cfg.radius,
+        radius=KOJIMA_RADIUS,
         local_mean=result.maps.mean[0],
         local_cov=result.maps.cov[0],
         local_truth=result.local_truth()[0],

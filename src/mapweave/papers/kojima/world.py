@@ -12,6 +12,16 @@ from jaxtyping import Float
 from ...core import se2
 from ...core.config import config
 
+KOJIMA_ARENA = 1.5  # [m]
+KOJIMA_SPEED = 0.05  # [m/s]
+KOJIMA_RADIUS = 0.22  # [m]
+KOJIMA_PERIOD = 0.1  # [s]
+OBSERVATION_VARIANCE = 1e-4  # of the sensor: [m^2] and [rad^2]
+PROCESS_VARIANCE = 1e-6  # a step, of x, y [m^2] and theta [rad^2]; none while the robot stands
+RLS_VARIANCE = 1e-3  # rls variance
+KOJIMA_PRIOR_FRAME_VARIANCE = 1e5  # prior frame variance
+PRIOR_LANDMARK_VARIANCE = 1e-3  # prior landmark variance
+
 COMMON = 2
 OWN = 3
 SEEN = (np.array([0, 1, 2, 3, 4]), np.array([0, 1, 5, 6, 7]))  # landmarks of either robot, the common two first
@@ -21,20 +31,11 @@ SEEN = (np.array([0, 1, 2, 3, 4]), np.array([0, 1, 5, 6, 7]))  # landmarks of ei
 class KojimaConfig:
     """The paper's Table 1, its misprints mended, and the geometry chosen for it."""
 
-    arena: float = 1.5  # [m]
-    speed: float = 0.05  # [m/s]
-    radius: float = 0.22  # [m]
-    period: float = 0.1  # [s]
     drive_steps: int = 800
     steps: int = 1500
-    observation_variance: float = 1e-4  # of the sensor: [m^2] and [rad^2]
-    process_variance: float = 1e-6  # a step, of x, y [m^2] and theta [rad^2]; none while the robot stands
     filter_variance: float = 1e-5  # what the EKF takes the sensor's variance for
     first_pose_variance: float = 1e-5  # printed as the landmarks'; the two are exchanged in the table
-    rls_variance: float = 1e-3
     delta: float = 80.0
-    prior_frame_variance: float = 1e5
-    prior_landmark_variance: float = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,13 +54,16 @@ class LocalMaps:
     cov: Float[np.ndarray, "s 2 10 10"]
 
 
-def draw_worlds(cfg: KojimaConfig, count: int, rng: np.random.Generator) -> Worlds:
+def draw_worlds(count: int, rng: np.random.Generator) -> Worlds:
     """`count` layouts: landmarks 0.2 m apart at least and clear of both paths, the common ones 0.4 m apart."""
-    middle = 0.5 * cfg.arena
+    middle = 0.5 * KOJIMA_ARENA
     centres = np.array([[middle - 0.35, middle], [middle + 0.35, middle]])
-    below, above = centres[0] - [0.0, cfg.radius], centres[1] + [0.0, cfg.radius]  # robot 1 turns left, robot 2 right
+    below, above = (
+        centres[0] - [0.0, KOJIMA_RADIUS],
+        centres[1] + [0.0, KOJIMA_RADIUS],
+    )  # robot 1 turns left, robot 2 right
     T_arena_start = np.array([[*below, 0.0], [*above, 0.0]])
-    landmarks = np.stack([_layout(cfg, centres, rng) for _ in range(count)])
+    landmarks = np.stack([_layout(centres, rng) for _ in range(count)])
     T_1_arena = se2.inverse(T_arena_start[0])
     return Worlds(
         landmarks=se2.act(T_1_arena, landmarks),
@@ -67,16 +71,16 @@ def draw_worlds(cfg: KojimaConfig, count: int, rng: np.random.Generator) -> Worl
     )
 
 
-def _layout(cfg: KojimaConfig, centres: Float[np.ndarray, "2 2"], rng: np.random.Generator) -> Float[np.ndarray, "8 2"]:
+def _layout(centres: Float[np.ndarray, "2 2"], rng: np.random.Generator) -> Float[np.ndarray, "8 2"]:
     edge, left, right = 0.1, 0.55, 0.95
-    spans = [(left, right)] * COMMON + [(edge, left)] * OWN + [(right, cfg.arena - edge)] * OWN
+    spans = [(left, right)] * COMMON + [(edge, left)] * OWN + [(right, KOJIMA_ARENA - edge)] * OWN
     while True:
         p: list[np.ndarray] = []
         for low, high in spans:
             for _ in range(200):
-                q = np.array([rng.uniform(low, high), rng.uniform(edge, cfg.arena - edge)])
+                q = np.array([rng.uniform(low, high), rng.uniform(edge, KOJIMA_ARENA - edge)])
                 apart = 0.4 if len(p) < COMMON else 0.2
-                path = np.abs(np.linalg.norm(centres - q, axis=1) - cfg.radius).min()
+                path = np.abs(np.linalg.norm(centres - q, axis=1) - KOJIMA_RADIUS).min()
                 if path > 0.08 and all(np.linalg.norm(q - other) >= apart for other in p):
                     p.append(q)
                     break
@@ -89,25 +93,25 @@ def run_filters(cfg: KojimaConfig, worlds: Worlds, rng: np.random.Generator) -> 
     S = len(worlds.landmarks)
     T_1_robot = worlds.start.copy()
     points = np.stack([worlds.landmarks[:, index] for index in SEEN], axis=1)
-    x, P = _first_map(cfg, *_observe(cfg, T_1_robot, points, rng))
-    sigma = np.sqrt(cfg.process_variance)
-    turn = np.array([cfg.speed, 0.0, cfg.speed / cfg.radius]) * cfg.period
+    x, P = _first_map(cfg, *_observe(T_1_robot, points, rng))
+    sigma = np.sqrt(PROCESS_VARIANCE)
+    turn = np.array([KOJIMA_SPEED, 0.0, KOJIMA_SPEED / KOJIMA_RADIUS]) * KOJIMA_PERIOD
     twist = np.stack([turn, turn * [1.0, 0.0, -1.0]])  # the two circles are driven in opposite senses
     for step in range(1, cfg.steps + 1):
         if step <= cfg.drive_steps:
             T_1_robot = se2.compose(T_1_robot, se2.exp(twist)) + sigma * rng.standard_normal((S, 2, 3))
-            x, P = _predict(cfg, x, P, twist)
-        x, P = _correct(cfg, x, P, *_observe(cfg, T_1_robot, points, rng))
+            x, P = _predict(x, P, twist)
+        x, P = _correct(cfg, x, P, *_observe(T_1_robot, points, rng))
         if step >= cfg.drive_steps:
             yield LocalMaps(x[..., 3:].reshape(S, 2, -1, 2), P[..., 3:, 3:])
 
 
 def _observe(
-    cfg: KojimaConfig, pose: Float[np.ndarray, "s 2 3"], points: Float[np.ndarray, "s 2 5 2"], rng: np.random.Generator
+    pose: Float[np.ndarray, "s 2 3"], points: Float[np.ndarray, "s 2 5 2"], rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, "s 2 5"], Float[np.ndarray, "s 2 5"]]:
     """Noisy ranges [m] and bearings [rad] of all five landmarks of each robot."""
     d = points - pose[..., None, :2]
-    z = rng.standard_normal((*d.shape[:-1], 2)) * np.sqrt(cfg.observation_variance)
+    z = rng.standard_normal((*d.shape[:-1], 2)) * np.sqrt(OBSERVATION_VARIANCE)
     return np.hypot(d[..., 0], d[..., 1]) + z[..., 0], np.arctan2(d[..., 1], d[..., 0]) - pose[..., 2:3] + z[..., 1]
 
 
@@ -130,7 +134,6 @@ def _first_map(
 
 
 def _predict(
-    cfg: KojimaConfig,
     x: Float[np.ndarray, "s 2 13"],
     P: Float[np.ndarray, "s 2 13 13"],
     twist: Float[np.ndarray, "2 3"],
@@ -141,7 +144,7 @@ def _predict(
     P = P.copy()
     P[..., :3, :] = F @ P[..., :3, :]
     P[..., :, :3] = P[..., :, :3] @ np.swapaxes(F, -1, -2)
-    P[..., [0, 1, 2], [0, 1, 2]] += cfg.process_variance
+    P[..., [0, 1, 2], [0, 1, 2]] += PROCESS_VARIANCE
     return np.concatenate([pose, x[..., 3:]], axis=-1), P
 
 

@@ -13,7 +13,18 @@ from ...core.records import Odometry
 from ...core.workers import Progress, no_progress
 from ..headings import relative_odometry_frame
 from .poses import PoseProblem
-from .result import RobotTrajectory, SwarmTrack, TrackConfig, without_outliers
+from .result import (
+    GROW_KERNEL,
+    MEETING_FLOOR,
+    MEETING_OUTLIER,
+    TRACK_ENOUGH,
+    TRACK_MEETING,
+    TRACK_WINDOW,
+    RobotTrajectory,
+    SwarmTrack,
+    TrackConfig,
+    without_outliers,
+)
 from .smooth import solve_velocity
 
 
@@ -25,25 +36,25 @@ def grow(problem: PoseProblem, cfg: TrackConfig, on_progress: Progress = no_prog
     """
     stamps = problem.table.t
     assert stamps is not None  # noqa: S101
-    edges = np.arange(stamps.min(), stamps.max() + cfg.window, cfg.window)
+    edges = np.arange(stamps.min(), stamps.max() + TRACK_WINDOW, TRACK_WINDOW)
     count = len(edges) - 1
     window = np.clip(np.searchsorted(edges, stamps, side="right") - 1, 0, count - 1)
-    begin = max(range(count), key=lambda w: _tied(problem, window == w, cfg.enough))
+    begin = max(range(count), key=lambda w: _tied(problem, window == w, TRACK_ENOUGH))
     x = problem.x0
     x[problem.index] = problem.own
     root = _busiest(problem, window == begin)
     placed = {root}
-    robust = replace(cfg, kernel=cfg.kernel or cfg.grow_kernel)
+    robust = replace(cfg, kernel=cfg.kernel or GROW_KERNEL)
     sigma = float(np.median(problem.table.sigma))
     # The rms bearing error under which a meeting is believed: noise, and what the odometry turns astray meanwhile.
-    good = float(np.sqrt((cfg.meeting * sigma) ** 2 + cfg.turn_floor**2 * cfg.window)) + cfg.meeting_floor
+    good = float(np.sqrt((TRACK_MEETING * sigma) ** 2 + cfg.turn_floor**2 * TRACK_WINDOW)) + MEETING_FLOOR
     windows = [*range(begin, count), *range(begin - 1, -1, -1), *range(begin, count)]
     for done, w in enumerate(windows):
         on_progress("growing tracks", done, len(windows))
         low, high = edges[w], edges[w + 1]
-        _join(problem, x, placed, window == w, good, cfg)
+        _join(problem, x, placed, window == w, good)
         still = ~np.isin(problem.line.robot, list(problem.odometry))
-        inside = (problem.line.t >= low - cfg.window) & (problem.line.t <= high + cfg.window * (w < begin))
+        inside = (problem.line.t >= low - TRACK_WINDOW) & (problem.line.t <= high + TRACK_WINDOW * (w < begin))
         reached = _reached(problem, w, begin, edges)
         x = problem.solve(x, placed, robust, hold_anchors=False, active=(inside & reached) | still).x
         _carry(problem, x, placed, w, begin, edges)
@@ -76,9 +87,7 @@ def _busiest(problem: PoseProblem, rows: np.ndarray) -> int:
     return int(np.bincount(both).argmax())
 
 
-def _join(
-    problem: PoseProblem, x: np.ndarray, placed: set[int], rows: np.ndarray, good: float, cfg: TrackConfig
-) -> None:
+def _join(problem: PoseProblem, x: np.ndarray, placed: set[int], rows: np.ndarray, good: float) -> None:
     """Robots that the sightings `rows` tie to those placed are placed too, the best tied first; x is changed."""
     refused: set[int] = set()
     while True:
@@ -89,7 +98,7 @@ def _join(
         counts = np.bincount(other[tie], minlength=len(problem.table.ids))
         counts[list(refused)] = 0
         new = int(counts.argmax())
-        if counts[new] < cfg.enough:
+        if counts[new] < TRACK_ENOUGH:
             return
         use = np.flatnonzero(tie & (other == new))
         by_placed = inside[0][use]
@@ -100,7 +109,7 @@ def _join(
             problem.own[there],
             problem.table.bearing()[use],
             by_placed,
-            cfg.meeting_outlier * good,
+            MEETING_OUTLIER * good,
         )
         if np.sqrt(error) > good:
             refused.add(new)

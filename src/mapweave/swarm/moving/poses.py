@@ -15,7 +15,7 @@ from ...core.bearings import BearingTable
 from ...core.records import Odometry
 from ...solve import Factor, Problem, Solution, SolveConfig, Term, minimise, wrapping
 from .factors import odometry_factor, prior_factor, sighting_factor
-from .result import TrackConfig
+from .result import SCALE_V, TRACK_MERGE, TrackConfig
 
 STEP = 1e-4  # by which the scales of v and w are varied
 
@@ -166,7 +166,7 @@ class PoseProblem:
     ) -> "PoseProblem":
         present = set(table.observer.tolist()) | set(table.target.tolist())
         still = (present - set(odometry)) | set(anchors)
-        line = timeline(table, still, cfg.merge)
+        line = timeline(table, still, TRACK_MERGE)
         robots = np.unique(line.robot).tolist()
         parts = [odometry_steps(None if k in still else odometry[k], line.t[line.of(k)], cfg) for k in robots]
         K = len(line)
@@ -226,7 +226,7 @@ class PoseProblem:
         fixed[self.index[moving]] = False
         for robot, at in self.scales.items():
             driven = robot in placed and robot in self.odometry
-            fixed[list(at)] = not (cfg.scale_v > 0.0 and driven), not (cfg.scale_w > 0.0 and driven)
+            fixed[list(at)] = not (SCALE_V > 0.0 and driven), not (cfg.scale_w > 0.0 and driven)
         if hold_anchors:
             for robot in self.anchors:
                 fixed[self.index[self.line.of(robot), :2]] = True
@@ -252,7 +252,7 @@ class PoseProblem:
             odometry_factor(steps, self.delta[driven], self.slope[driven], self.sigma[driven]),
             prior_factor(self.index[moving], np.zeros((int(moving.sum()), 3)), FAR),
         ]
-        for which, sigma in enumerate((cfg.scale_v, cfg.scale_w)):
+        for which, sigma in enumerate((SCALE_V, cfg.scale_w)):
             if sigma > 0.0:
                 at = np.array([[self.scales[k][which]] for k in sorted(placed & self.odometry)], dtype=np.int64)
                 terms.append(prior_factor(at, np.zeros(at.shape), sigma))

@@ -10,6 +10,18 @@ from ...core.config import config
 from ...core.records import frozen
 from ...solve import Solution
 
+TRACK_MERGE = 0.002  # [s]; stamps closer than this are one instant
+SCALE_V = 0.0  # prior of the scale of each robot's v about 1; 0: trusted as it is
+TRACK_WINDOW = 20.0  # [s] by which a start without common axes is grown
+TRACK_OUTLIER = 4.0  # standard deviations beyond which a sighting is an outlier, with a kernel
+FIRST_INSTANTS = 3  # that are smoothed together before filtering begins
+TRACK_RELINEARISE = 3  # times that one instant's sightings are linearised by the filter
+TRACK_ENOUGH = 6  # sightings that place a robot, where a start without common axes is grown
+GROW_KERNEL = 3.0  # [standard deviations] Cauchy kernel on sightings for that start, where `kernel` is 0
+TRACK_MEETING = 1.5  # times the error of one sighting, with what wheels turn astray in a `window`, and
+MEETING_FLOOR = 0.01  # [rad] more: rms error up to which a meeting of two robots is believed
+MEETING_OUTLIER = 3.0  # times that error: a sighting further off counts as this much off
+
 
 @config
 class TrackConfig:
@@ -20,24 +32,13 @@ class TrackConfig:
 
     acceleration: float = 0.02  # [m^2/s^3] white-noise acceleration density of each axis, without odometry
     speed: float = 3.0  # [m/s] prior of each axis of the first velocity, without odometry
-    merge: float = 0.002  # [s]; stamps closer than this are one instant
     slip_floor: float = 0.01  # [m/sqrt(s)] noise of the distance driven, at rest too
     slip: float = 0.1  # [sqrt(s)] and so much of the speed more
     side: float = 0.3  # sideways slip, of the slip along
     turn_floor: float = 0.01  # [rad/sqrt(s)] noise of the heading, at rest too
     turn: float = 0.1  # [sqrt(s)] and so much of the turn rate more
-    scale_v: float = 0.0  # prior of the scale of each robot's v about 1; 0: trusted as it is
     scale_w: float = 0.0  # the same of its w
     kernel: float = 0.0  # Cauchy kernel on sightings [standard deviations]; 0: none
-    window: float = 20.0  # [s] by which a start without common axes is grown
-    outlier: float = 4.0  # standard deviations beyond which a sighting is an outlier, with a kernel
-    first_instants: int = 3  # that are smoothed together before filtering begins
-    relinearise: int = 3  # times that one instant's sightings are linearised by the filter
-    enough: int = 6  # sightings that place a robot, where a start without common axes is grown
-    grow_kernel: float = 3.0  # [standard deviations] Cauchy kernel on sightings for that start, where `kernel` is 0
-    meeting: float = 1.5  # times the error of one sighting, with what wheels turn astray in a `window`, and
-    meeting_floor: float = 0.01  # [rad] more: rms error up to which a meeting of two robots is believed
-    meeting_outlier: float = 3.0  # times that error: a sighting further off counts as this much off
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +60,7 @@ def without_outliers(
     squares: Float[np.ndarray, " m"], rows: int, solution: Solution, cfg: TrackConfig
 ) -> tuple[Bool[np.ndarray, " m"], float, int]:
     """Which sightings (by their squared whitened residuals) are outliers, and chi2 and dof without them."""
-    out = np.asarray((squares > cfg.outlier**2) & (cfg.kernel > 0.0))
+    out = np.asarray((squares > TRACK_OUTLIER**2) & (cfg.kernel > 0.0))
     return out, solution.chi2 - float(squares[out].sum()), solution.dof - rows * int(out.sum())
 
 

@@ -14,7 +14,15 @@ from ...solve import Problem, Solution, SolveConfig, minimise
 from .. import bearing as model
 from .factors import prior_factor, ray_factor, sighting_factor, velocity_factor, velocity_noise
 from .poses import Timeline, timeline
-from .result import RobotTrajectory, SwarmTrack, TrackConfig, without_outliers
+from .result import (
+    FIRST_INSTANTS,
+    TRACK_MERGE,
+    TRACK_RELINEARISE,
+    RobotTrajectory,
+    SwarmTrack,
+    TrackConfig,
+    without_outliers,
+)
 
 Anchors = Mapping[int, Float[np.ndarray, " d"]]
 
@@ -52,7 +60,7 @@ def solve_velocity(
             f"{len(set(anchors) & present)}"
         )
     d = table.dim
-    line = timeline(table, set(anchors), cfg.merge)
+    line = timeline(table, set(anchors), TRACK_MERGE)
     index = np.arange(2 * d * len(line)).reshape(len(line), 2 * d)
     known = np.isin(line.robot, list(anchors))
     fixed = np.repeat(known, 2 * d)
@@ -112,13 +120,13 @@ def filtered(
     cfg = cfg or TrackConfig()
     assert table.t is not None  # noqa: S101  (callers hand in stamped tables)
     stamps = np.unique(table.t)
-    if len(stamps) <= cfg.first_instants:
-        raise DataError(f"a filter needs more than {cfg.first_instants} instants, found {len(stamps)}")
+    if len(stamps) <= FIRST_INSTANTS:
+        raise DataError(f"a filter needs more than {FIRST_INSTANTS} instants, found {len(stamps)}")
     moving = np.setdiff1d(np.unique(np.concatenate([table.observer, table.target])), list(anchors))
-    begin = _begin(table.rows(table.t <= stamps[cfg.first_instants - 1]), moving, anchors, cfg)
+    begin = _begin(table.rows(table.t <= stamps[FIRST_INSTANTS - 1]), moving, anchors, cfg)
     out: list[MotionState] = []
     chi2, rows = 0.0, 0
-    for state, value, count in _run(table, stamps[cfg.first_instants :], begin, moving, anchors, cfg):
+    for state, value, count in _run(table, stamps[FIRST_INSTANTS:], begin, moving, anchors, cfg):
         out.append(state)
         chi2, rows = chi2 + value, rows + count
     d = table.dim
@@ -201,7 +209,7 @@ def _begin(
         rows = line.of(k)
         if rows.start == rows.stop:
             raise DataError(
-                f"robot {table.ids[k]} is not seen in the first {cfg.first_instants} instants: the filter cannot begin"
+                f"robot {table.ids[k]} is not seen in the first {FIRST_INSTANTS} instants: the filter cannot begin"
             )
         last.append(rows.stop - 1)
     at = index[np.array(last)].ravel()
@@ -232,5 +240,7 @@ def _run(
     edges = np.searchsorted(table.t[order], np.append(stamps, np.inf))
     for k, t in enumerate(stamps.tolist()):
         now = table.rows(order[edges[k] : edges[k + 1]])
-        state, nis, rows = update(predict(state, t, table.dim, cfg.acceleration), now, moving, anchors, cfg.relinearise)
+        state, nis, rows = update(
+            predict(state, t, table.dim, cfg.acceleration), now, moving, anchors, TRACK_RELINEARISE
+        )
         yield state, nis, rows
