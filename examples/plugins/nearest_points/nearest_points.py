@@ -10,6 +10,7 @@ from mapweave.core import se2
 from mapweave.laser.scan_matching import ScanMatch
 
 STEPS, REACH, KEPT, SIGMA = 15, 0.5, 60, 0.05  # Gauss-Newton steps; [m]; scans; [m] of a return from its wall
+APART, TURNED = 0.4, 0.4  # [m], [rad] from the last scan that was kept, from which one is
 TURNS = np.arange(-1.3, 1.31, 0.1)  # [rad] tried to either side where nothing is known of the motion
 
 
@@ -17,7 +18,7 @@ class NearestPoints:
     """A `mapweave.core.plugins.Matcher`."""
 
     def __init__(self, cfg, tangent) -> None:
-        self.cfg, self.kept, self.last, self.tree = cfg, [], None, None
+        self.kept, self.last, self.tree = [], None, None
 
     def match(self, b, predicted, sd) -> ScanMatch:
         pose, prior = np.array(predicted, float), np.diag(np.asarray(sd, float) ** -2.0)
@@ -38,7 +39,7 @@ class NearestPoints:
     def insert(self, b, pose) -> bool:
         if self.last is not None:
             moved = se2.between(self.last, pose)
-            if np.hypot(*moved[:2]) < self.cfg.keyframe_distance and abs(moved[2]) < self.cfg.keyframe_turn:
+            if np.hypot(*moved[:2]) < APART and abs(moved[2]) < TURNED:
                 return False
         self.hold([*self.kept, (b, np.array(pose))][-KEPT:])
         return True
