@@ -1,5 +1,7 @@
 """Where a trajectory is not one piece."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -22,6 +24,7 @@ from mapweave.mapping.segments import (
     pieces_of,
     segment_findings,
     still_apart,
+    way_bent,
 )
 
 STEP = np.array([0.3, 0.0, 0.1])
@@ -152,3 +155,32 @@ def test_wheels_that_were_set_anew_tell_no_motion_over_the_border():
     assert np.allclose(steps, graph.step)
     assert np.allclose([scan.odometry for scan in mended.scans], wheels.pose)
     assert np.allclose(wheels.pose[0], dead[0])
+
+
+def bent(pull, borders=()):
+    """A straight way whose keyframes from 10 to 40 lie `pull` [m] closer together in all than its steps tell."""
+    graph = straight(borders, n=60)
+    pose = np.array(graph.pose)
+    pose[:, 0] -= pull * np.clip((np.arange(60) - 10) / 30, 0.0, 1.0)
+    return replace(graph, pose=pose, step_information=np.tile(np.diag([1600.0, 1600.0, 4e4]), (59, 1, 1)))
+
+
+def test_places_that_bend_a_way_beyond_what_its_steps_may_err_by_are_told_with_where():
+    (told,) = way_bent(bent(2.8))
+    assert (told.code, told.severity, told.robot) == ("way-bent", "doubtful", "1")
+    assert told.span[0] <= 12.0
+    assert told.span[1] >= 38.0
+    assert told.value["value"] == pytest.approx(2.8, rel=0.1)
+    assert told.value["sd"] == pytest.approx(2.8 / (0.025 * np.sqrt(30)), rel=0.15)
+    assert told.value["way"] == pytest.approx(0.5 * (told.span[1] - told.span[0]))
+    assert way_bent(bent(-2.8))
+
+
+def test_a_way_bent_within_what_its_steps_may_err_by_or_over_a_border_is_not_told():
+    assert way_bent(bent(0.4)) == ()
+    assert way_bent(bent(0.65)) == ()  # 4.7 standard deviations
+    leap = np.array(bent(0.0).pose)
+    leap[20:, 0] -= 3.0
+    assert way_bent(replace(bent(0.0, borders=(20,)), pose=leap)) == ()
+    assert way_bent(replace(bent(0.0), pose=leap))
+    assert way_bent(straight(n=4)) == ()

@@ -89,6 +89,14 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "carried is found again.",
             "Nothing.",
         ),
+        "way-bent": FindingKind(
+            "doubtful",
+            "places bend its way by {value:.1f} m over {way:.0f} m, {sd:.0f} standard deviations of what scans and "
+            "wheels tell of it",
+            "Places that look alike pull the trajectory together, or wheels err more than is believed along walls that "
+            "tell nothing.",
+            "Look at the map there; say which places are false with `mapweave edit`.",
+        ),
         "log-parted": FindingKind(
             "note",
             "what its log holds from then on is another place, to which nothing ties it: it is mapped as {value}",

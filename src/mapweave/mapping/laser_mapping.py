@@ -46,7 +46,7 @@ from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import ScanOdometry, blended
 from .config import LaserConfig
 from .map_overlap import seen_through
-from .segments import LONG, bridged, held_over, segment_findings
+from .segments import LONG, bridged, held_over, segment_findings, way_bent
 from .session import LaserSession
 
 MOMENT_WITHIN = 0.002  # [s] in which a robot hardly moves
@@ -357,7 +357,7 @@ def map_session(
         measured = (*measured, *wheels_unlike(track, dead, robot))
     moving_returns = {"return of something that moves": session.moving.count} if session.moving.count else {}
     left = {} if graph is None else left_graph(graph)
-    cuts = () if graph is None else (*segment_findings(graph), *seen_through(graph))
+    cuts = () if graph is None else (*segment_findings(graph), *way_bent(graph), *seen_through(graph))
     result = replace(
         result,
         scan_hash=log.scan_hash(),

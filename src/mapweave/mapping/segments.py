@@ -36,6 +36,8 @@ WHY = {
 }
 MANY, PATCHY = 20, 0.02  # keyframes, and cuts among them from which on a trajectory is a patchwork
 DISPUTED = 3.0  # sd by which places put a robot elsewhere over a gap than its wheels
+STRETCHES = (10, 20, 40)  # steps of a trajectory that places may have bent,
+BENT, BENT_SDS = 0.5, 5.5  # by more than this [m], and so many standard deviations of the steps together
 LONG = 3.0  # [m] of way from which on it matters that a piece shares no place with what came before
 
 
@@ -170,6 +172,32 @@ def segment_findings(graph: RobotGraph) -> tuple[Finding, ...]:
         if way >= LONG and joined[piece] not in joined[:piece]:
             found.append(Finding("segment-apart", graph.robot, (span[1], float(graph.t[last])), way))
     return tuple(found)
+
+
+def way_bent(graph: RobotGraph) -> tuple[Finding, ...]:
+    """A finding where places bend the trajectory far beyond what its steps may err by, as places that look alike do.
+
+    Of all stretches of as many steps as `STRETCHES` tells that which is bent most, against the covariance that its
+    steps have together; over a border nothing is known, so that nothing can be bent.
+    """
+    e = se2.between(graph.step, se2.between(graph.pose[:-1], graph.pose[1:]))[:, :2]
+    e[[bool(why) for why in graph.border[1:]]] = 0.0
+    off = np.concatenate([np.zeros((1, 2)), np.cumsum(e, axis=0)])
+    cov = np.concatenate([np.zeros((1, 2, 2)), np.cumsum(np.linalg.inv(graph.step_information)[:, :2, :2], axis=0)])
+    worst = (0.0, 0.0, 0, 0)
+    for steps in STRETCHES:
+        if steps > len(e):
+            break
+        bent = off[steps:] - off[:-steps]
+        sds = np.sqrt(np.einsum("ki,kij,kj->k", bent, np.linalg.inv(cov[steps:] - cov[:-steps]), bent))
+        far = np.hypot(bent[:, 0], bent[:, 1])
+        k = int(np.argmax(np.where(far > BENT, sds, 0.0)))
+        worst = max(worst, (float(sds[k]) if far[k] > BENT else 0.0, float(far[k]), k, k + steps))
+    if worst[0] <= BENT_SDS:
+        return ()
+    first, last = worst[2], worst[3]
+    value = {"value": worst[1], "way": float(graph.path[last] - graph.path[first]), "sd": worst[0]}
+    return (Finding("way-bent", graph.robot, (float(graph.t[first]), float(graph.t[last])), value),)
 
 
 def still_apart(findings: Sequence[Finding], graph: RobotGraph, held: Sequence[int]) -> tuple[Finding, ...]:
