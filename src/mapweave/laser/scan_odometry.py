@@ -17,14 +17,11 @@ from ..core.rows import RowBuffer
 from .beam import STEERING, Beams
 from .scan_matching import (
     BARE_TANGENT,
-    FRONT_END_SIGMA,
     GYRO_SCALE,
     LEAST_SHARE,
     STILL_TURN,
     STILL_XY,
-    WIDE_UNDER,
     FrontEndConfig,
-    ScanMatch,
     allowed_sd,
 )
 
@@ -79,10 +76,6 @@ def blended(
     return np.asarray(out)
 
 
-LEARNED, LEARNS = 20, 400  # steps where walls hold every direction, from which wheels are known, and up to which
-HOLDS = 0.1  # of what all returns could tell, from which a direction is held
-DRIVES = 0.02  # [m] of a step that tells what wheels are worth
-WIDER, LEAST_WIDE = 3.0, 0.4  # times what four in five steps err by, and of the sd of any wheels: what they may err by
 STILL = 1e-6  # [m] and [rad] that wheels which report no motion differ by
 NO_INNOVATION = np.zeros(3)
 
@@ -143,8 +136,6 @@ class ScanOdometry:
         self.heading: float | None = None
         self._stood: np.ndarray | None = None  # where it was when the wheels moved last, while they report nothing
         self.lines = np.zeros((3, 3))
-        self._off: list[float] = []  # by which steps differ from the wheels, over the sd of any
-        self._wheels = 1.0  # what these wheels may err by in x and y, over that
 
     @property
     def pose(self) -> Float[np.ndarray, "3"]:
@@ -165,7 +156,7 @@ class ScanOdometry:
                 alone=True,
             )
         u = np.zeros(3) if self.odometry is None else se2.between(self.odometry, odometry)
-        return Increment(u, allowed_sd(u, self.cfg) * [self._wheels, self._wheels, 1.0])
+        return Increment(u, allowed_sd(u, self.cfg))
 
     def _wheels_stand(self, odometry: Float[np.ndarray, "3"] | None) -> bool:
         """Whether wheels report no motion at all since the last scan."""
@@ -211,7 +202,6 @@ class ScanOdometry:
             accepted = inside(match.innovation, self.gate(sd))
         if accepted and self.tell_lines:
             self.lines = self.front_end.information(b, match.pose)
-            self._learn(match, u, alone=alone)
         info = ScanInfo(
             match.innovation,
             match.beams,
@@ -220,19 +210,6 @@ class ScanOdometry:
             information=match.information if accepted else np.diag(sd**-2.0),
         )
         return self._accept(b, match.pose if accepted else predicted, info)
-
-    def _learn(self, match: ScanMatch, u: Float[np.ndarray, "3"], *, alone: bool) -> None:
-        """What the wheels are worth, from a step of theirs where walls hold every direction."""
-        few = match.matches < WIDE_UNDER * match.beams
-        if alone or self.gate is not None or few or np.hypot(u[0], u[1]) < DRIVES or len(self._off) >= LEARNS:
-            return
-        told = self.lines
-        held = told[:2, :2] - np.outer(told[:2, 2], told[:2, 2]) / max(told[2, 2], 1e-9)
-        if np.linalg.eigvalsh(held)[0] < HOLDS * self.cfg.neff / FRONT_END_SIGMA**2:
-            return
-        self._off.append(float(np.hypot(*match.innovation[:2]) / allowed_sd(u, self.cfg)[0]))
-        if len(self._off) % LEARNED == 0:
-            self._wheels = float(np.clip(WIDER * np.quantile(self._off, 0.8), LEAST_WIDE, 1.0))
 
     def _accept(self, b: Beams, pose: np.ndarray, info: ScanInfo) -> ScanInfo:
         if len(self.poses):
