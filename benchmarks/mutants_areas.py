@@ -293,8 +293,8 @@ class Equivalent:
 EQUIVALENT: tuple[Equivalent, ...] = (
     Equivalent(
         "fusion:variance_factors",
-        "last = np.abs(np.log(new / factors)).max() < variance.still or i == variance.rounds - 1",
-        "last = np.abs(np.log(new / factors)).max() < variance.still and i == variance.rounds - 1",
+        "last = np.abs(np.log(new / factors)).max() < VARIANCE_STILL or i == VARIANCE_ROUNDS - 1",
+        "last = np.abs(np.log(new / factors)).max() < VARIANCE_STILL and i == VARIANCE_ROUNDS - 1",
         "the rounds go on after the factors stand still, and move them by less than that",
     ),
     Equivalent(
@@ -498,7 +498,7 @@ ONCE_LET_PASS: tuple[Named, ...] = (
     ),
     Named(
         "fusion:variance_factors",
-        "return np.asarray(np.clip(out, cfg.least, cfg.greatest))",
+        "return np.asarray(np.clip(out, VARIANCE_LEAST, VARIANCE_GREATEST))",
         "return np.asarray(out)",
         ("tests/fusion/test_submaps.py",),
     ),
@@ -529,7 +529,7 @@ ONCE_LET_PASS: tuple[Named, ...] = (
     ),
     Named(
         "swarm:contradictions",
-        "bad[rows] = off > cfg.gate * sigma[rows]",
+        "bad[rows] = off > CONSISTENCY_GATE * sigma[rows]",
         "bad[rows] = off > 10 * cfg.gate * sigma[rows]",
         ("tests/swarm/test_contradiction.py",),
     ),

@@ -5,7 +5,7 @@ from scipy import ndimage
 
 from mapweave.core import se2
 from mapweave.core.walls import WallIndex
-from mapweave.exploration.laser.config import OCCUPIED_SHARE, LaserExploreConfig
+from mapweave.exploration.laser.config import LaserExploreConfig
 from mapweave.exploration.laser.planner_state import LaserBelief
 from mapweave.exploration.planner_interface import find_planner
 from mapweave.kernels.laser.scan_laying import CellCounts, lay_scan
@@ -45,7 +45,9 @@ class Team:
         self.given: Occupancy | None = None
 
     def grid(self) -> Occupancy:
-        return self.given or from_counts(self.cfg.resolution, self.corner, self.hits, self.passes, OCCUPIED_SHARE)
+        return self.given or from_counts(
+            self.cfg.resolution, self.corner, self.hits, self.passes, self.cfg.occupied_share
+        )
 
     def look(self, j: int) -> np.ndarray:
         """Robot j's scan is drawn into the map, other robots left out; its points in the robot's frame."""

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mapweave.exploration.laser.config import LASER_EXPLORE_SPLIT, LaserExploreConfig
+from mapweave.exploration.laser.config import LaserExploreConfig
 from mapweave.exploration.laser.frontiers import frontiers, mapped_ground, pockets
 from mapweave.laser.occupancy import FREE, OCCUPIED, UNKNOWN, Occupancy
 
@@ -48,7 +48,7 @@ def test_a_closed_room_seen_by_a_stray_beam_is_no_goal_and_is_told_as_a_pocket()
     grid = box("." * 8 + "##" + "." * 10 + " " * 6)
     ground = mapped_ground(grid, np.array([[0.9, 1.0]]), NOBODY, CFG)
     assert frontiers(ground, CFG) == []
-    middles = pockets(ground)
+    middles = pockets(ground, CFG)
     assert len(middles) == 1
     assert 2.2 < middles[0][0] < 4.2
 
@@ -67,7 +67,7 @@ def test_a_long_frontier_is_cut_into_pieces_no_longer_than_asked():
     pieces = found(grid, (0.9, 6.0))
     assert len(pieces) >= 4
     for piece in pieces:
-        assert np.ptp(piece.unknown[:, 1]) <= LASER_EXPLORE_SPLIT + 0.5
+        assert np.ptp(piece.unknown[:, 1]) <= CFG.split + 0.5
 
 
 def test_there_are_never_more_pieces_than_asked():

@@ -187,7 +187,7 @@ def test_the_evidence_depends_on_neither_frame_nor_order():
     assert same_place(one, turned, FuseConfig()).log_odds == pytest.approx(there, abs=1e-6)
 
 
-@pytest.mark.parametrize("key", ["odds", "odds_within", "distrust", "scale_sigma", "gate", "refuse", "delta", "floor"])
+@pytest.mark.parametrize("key", ["odds_within", "distrust", "scale_sigma", "floor"])
 def test_a_threshold_without_meaning_is_refused(key):
     with pytest.raises(ConfigError, match=f"{key}: expected"):
         FuseConfig(**{key: -1.0})

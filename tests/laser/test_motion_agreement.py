@@ -113,7 +113,7 @@ def test_a_bare_corridor_tells_nothing_of_the_way_along_it():
 @pytest.mark.parametrize(("course", "n"), [(0.5, 39), (0.0, 0)])
 def test_a_way_that_bends_is_told_where_the_walls_at_both_its_ends_stand_across_its_chord(course, n):
     """To and fro in a corridor along x, turned by 0.3 rad on each way: a chord along the walls is not told."""
-    ends = CFG.way * np.array([[0.0, 0.0], [np.cos(course), np.sin(course)]])
+    ends = MOTION_WAY * np.array([[0.0, 0.0], [np.cos(course), np.sin(course)]])
     poses = np.tile(np.column_stack([ends, course + np.array([0.15, -0.15])]), (20, 1))
     rng = np.random.default_rng(3)
     seen = [ranges(pose, (400.0, 6.0), rng) for pose in poses]

@@ -12,6 +12,7 @@ from mapweave.core import se2
 from mapweave.core.errors import DataError
 from mapweave.core.records import Odometry
 from mapweave.sim.swarm import SwarmScene, simulate_swarm
+from mapweave.swarm import posterior
 from mapweave.swarm.headings import relative_odometry_frame
 from mapweave.swarm.moving.drive import smooth_driving
 from mapweave.swarm.moving.factors import odometry_factor, sighting_factor, velocity_factor
@@ -135,22 +136,19 @@ def test_gross_outliers_are_left_out_when_asked_for():
 
 
 @pytest.mark.slow
-def test_the_verdict_of_moving_robots_is_configured_as_that_of_standing_ones(tmp_path):
+def test_moving_robots_are_judged_as_standing_ones_are(monkeypatch):
     swarm, known = made(0, robots=16, steps=6, outliers=0.05)
     anchors = {swarm.table.ids[k]: p for k, p in known.items()}
-
-    def asked(**verdict):
-        path = tmp_path / "verdict.toml"
-        path.write_text("[swarm.verdict]\n" + "".join(f"{key} = {value}\n" for key, value in verdict.items()))
-        return mapweave.locate(swarm.table, anchors=anchors, method="robust", config=path)
-
-    usual = asked()
+    usual = mapweave.locate(swarm.table, anchors=anchors, method="robust")
     assert usual.reliable, usual.warnings
-    strict = asked(too_many=0.02)
+    monkeypatch.setattr(posterior, "TOO_MANY", 0.02)
+    strict = mapweave.locate(swarm.table, anchors=anchors, method="robust")
     assert not strict.reliable
     assert any("too many" in text for text in strict.warnings)
     assert np.array_equal(strict.track.tracks[5].position, usual.track.tracks[5].position)
-    assert not asked(doubt=0.9999).reliable
+    monkeypatch.setattr(posterior, "TOO_MANY", 0.25)
+    monkeypatch.setattr(posterior, "VERDICT_DOUBT", 0.9999)
+    assert not mapweave.locate(swarm.table, anchors=anchors, method="robust").reliable
 
 
 def test_one_anchor_does_not_hold_the_scale_of_moving_robots():

@@ -34,20 +34,14 @@ if TYPE_CHECKING:
 
 NOISE = {"printed": 1.0, "calibrated": CALIBRATED}
 POSITIVE = (
-    "mission.cell",
-    "mission.max_steps",
-    "commands.speeds",
-    "handover.by",
-    "loop.rate",
-    "joint.search.tries",
-    "walls.robot_radius",
-    "walls.path_cell",
-    "submap.period",
-    "submap.reach",
-    "submap.half_angle",
-    "submap.range_sd",
-    "submap.bearing_sd",
-    "submap.gate",
+    *("mission.cell", "mission.max_steps", "commands.speeds", "objective.apart_distance", "handover.by"),
+    *("coverage.radius", "coverage.replan_every"),
+    *("loop.radius", "loop.rate", "loop.rate_alone", "joint.rate", "joint.rate_alone", "joint.density"),
+    *("joint.search.tries", "joint.search.first_plans", "joint.search.most_places", "joint.search.coarse_cell"),
+    *("joint.search.pose_stride", "joint.search.layouts", "joint.search.least_range"),
+    *("walls.robot_radius", "walls.path_cell", "walls.stride", "walls.station_spacing", "walls.leg"),
+    *("submap.period", "submap.reach", "submap.half_angle"),
+    *("submap.range_sd", "submap.bearing_sd", "submap.gate"),
 )
 ASSOCIATIONS = ("known", "nn", "jcbb")
 

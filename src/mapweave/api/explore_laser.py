@@ -20,20 +20,16 @@ if TYPE_CHECKING:
     from ..report.style import Target
 
 POSITIVE = (
-    "robots.radius",
-    "robots.speed",
-    "robots.turn",
-    "robots.period",
-    "robots.scanner.beams",
-    "robots.scanner.far",
-    "plan.resolution",
-    "plan.max_steps",
-    "plan.most_goals",
-    "map_resolution",
+    *("robots.radius", "robots.speed", "robots.turn", "robots.period", "robots.scanner.beams", "robots.scanner.far"),
+    *("plan.resolution", "plan.max_steps", "plan.replan_every", "plan.split", "plan.most_goals"),
+    *("map_resolution", "tolerance", "beam_stride", "frontier_check_every", "false_distance", "false_turn"),
+    *("plan.goals.same", "plan.goals.arrived", "plan.follower.lookahead", "plan.follower.arc_sample"),
+    *("plan.allocation.wall_cost", "plan.allocation.parked_cost", "plan.right_of_way.meeting"),
 )
 COARSEST = 1.0  # [m], cells that could still show a door
 FARTHEST_BEAM = 1000.0  # [m]
 MOST_BEAMS = 20_000  # of one scan, each cast through all walls
+DEAREST = 255  # what a metre of way may count as
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -105,6 +101,8 @@ def _check_sizes(cfg: LaserMissionConfig, where: str) -> None:
     limits = (
         ("plan.resolution", cfg.plan.resolution, COARSEST),
         ("map_resolution", cfg.map_resolution, COARSEST),
+        ("plan.allocation.wall_cost", cfg.plan.allocation.wall_cost, DEAREST),
+        ("plan.allocation.parked_cost", cfg.plan.allocation.parked_cost, DEAREST),
         ("robots.scanner.far", cfg.robots.scanner.far, FARTHEST_BEAM),
         ("robots.scanner.beams", cfg.robots.scanner.beams, MOST_BEAMS),
     )

@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-from ..exploration.laser.config import LASER_MISSION_TOLERANCE
 from ..exploration.laser.result import LaserExploreResult, refusals
 from .exploration import seeds_told
 from .exploration_scene import laser_exploration_scene
@@ -55,11 +54,10 @@ def write_laser_exploration(folder: Path, result: LaserExploreResult) -> None:
         figures / "progress.png", "Share of the reachable area mapped; errors of the robots' places as they drove"
     )
     page.section("How good the map is")
-    draw_walls(figures / "walls.png", first, LASER_MISSION_TOLERANCE)
+    draw_walls(figures / "walls.png", first, m.cfg.tolerance)
     page.figure(
         figures / "walls.png",
-        f"Walls that can be seen, in the map within {LASER_MISSION_TOLERANCE:g} m or missed;"
-        " cells of the map that are no wall",
+        f"Walls that can be seen, in the map within {m.cfg.tolerance:g} m or missed; cells of the map that are no wall",
     )
     draw_closures(figures / "closures.png", first)
     page.figure(figures / "closures.png", "Loops closed within a robot and between two; closures tried and refused")

@@ -10,7 +10,7 @@ from ...core.se2 import wrap_angle
 from ...kernels.exploration.tours import balanced_tours
 from ..ground import FAR
 from .belief import LandmarkBelief
-from .config import COVERAGE_BALANCE, COVERAGE_RADIUS, COVERAGE_TURN_COST, LOOP_RADIUS, STATION_SPACING
+from .config import ExploreConfig
 from .floor_plan import FloorPlan
 
 
@@ -35,11 +35,11 @@ class Stations:
         return np.stack([self._ways[int(k)][chosen] for k in chosen])
 
 
-def stations(belief: LandmarkBelief, floor: FloorPlan, radius: float) -> Stations:
+def stations(belief: LandmarkBelief, floor: FloorPlan, radius: float, cfg: ExploreConfig) -> Stations:
     """The stations of this run for discs of `radius`, made once."""
     known: dict[float, Stations] = belief.memory.setdefault("stations", {})
     if radius not in known:
-        step = max(1, round(STATION_SPACING / floor.ground.cell))
+        step = max(1, round(cfg.walls.station_spacing / floor.ground.cell))
         cells = np.argwhere(floor.ground.free)
         middle = np.abs(cells % step - (step - 1) / 2).sum(axis=1)
         order = np.lexsort((middle, *(cells // step).T))
@@ -53,13 +53,13 @@ def stations(belief: LandmarkBelief, floor: FloorPlan, radius: float) -> Station
 
 
 def cover(
-    belief: LandmarkBelief, floor: FloorPlan, cells: Float[np.ndarray, "n 2"], radius: float
+    belief: LandmarkBelief, floor: FloorPlan, cells: Float[np.ndarray, "n 2"], radius: float, cfg: ExploreConfig
 ) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k 2"]]:
     """Few stations (k,) that see all `cells`, the one that sees most first, and where (k, 2) to go for each.
 
     That is the place from which the middle one of the cells it newly sees is seen best.
     """
-    have = stations(belief, floor, radius)
+    have = stations(belief, floor, radius, cfg)
     row = np.full(floor.field.shape, -1)
     row[floor.field] = np.arange(int(floor.field.sum()))
     at = np.floor((cells - floor.lower) / floor.cell).astype(int)
@@ -87,26 +87,26 @@ def cover(
 
 
 def plan(
-    belief: LandmarkBelief, floor: FloorPlan, cells: np.ndarray, poses: np.ndarray, live: np.ndarray
+    belief: LandmarkBelief, floor: FloorPlan, cells: np.ndarray, poses: np.ndarray, live: np.ndarray, cfg: ExploreConfig
 ) -> dict[int, np.ndarray]:
     """The next place (2,) for each live robot: the first of its tour, or the nearest from which new cells are seen."""
-    chosen, goals = cover(belief, floor, cells, COVERAGE_RADIUS)
-    first = _approach(floor, poses[live], goals, COVERAGE_TURN_COST)
-    between = stations(belief, floor, COVERAGE_RADIUS).ways(floor, chosen)
-    tours, counts = balanced_tours(first, between, np.zeros_like(first), COVERAGE_BALANCE)
+    chosen, goals = cover(belief, floor, cells, cfg.coverage.radius, cfg)
+    first = _approach(floor, poses[live], goals, cfg.coverage.turn_cost)
+    between = stations(belief, floor, cfg.coverage.radius, cfg).ways(floor, chosen)
+    tours, counts = balanced_tours(first, between, np.zeros_like(first), cfg.coverage.balance)
     return {int(j): goals[tours[k, 0] if counts[k] else int(np.argmin(first[k]))] for k, j in enumerate(live)}
 
 
 def laps(
-    belief: LandmarkBelief, floor: FloorPlan, cells: np.ndarray, poses: np.ndarray, live: np.ndarray
+    belief: LandmarkBelief, floor: FloorPlan, cells: np.ndarray, poses: np.ndarray, live: np.ndarray, cfg: ExploreConfig
 ) -> dict[int, list[np.ndarray]]:
     """For each live robot the places of its closed tour in order, its home last."""
-    chosen, _ = cover(belief, floor, cells, LOOP_RADIUS)
-    have = stations(belief, floor, LOOP_RADIUS)
+    chosen, _ = cover(belief, floor, cells, cfg.loop.radius, cfg)
+    have = stations(belief, floor, cfg.loop.radius, cfg)
     places = have.places[chosen]
-    first = _approach(floor, poses[live], places, COVERAGE_TURN_COST)
+    first = _approach(floor, poses[live], places, cfg.coverage.turn_cost)
     last = _ways(floor, poses[live], places)
-    tours, counts = balanced_tours(first, have.ways(floor, chosen), last, COVERAGE_BALANCE)
+    tours, counts = balanced_tours(first, have.ways(floor, chosen), last, cfg.coverage.balance)
     return {int(j): [*(places[i] for i in tours[k, : counts[k]]), poses[j, :2].copy()] for k, j in enumerate(live)}
 
 

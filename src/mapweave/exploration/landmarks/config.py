@@ -10,64 +10,6 @@ from ...core.config import config
 from ...fusion.handover import PairingConfig
 from ...landmarks.submap_slam import SubmapConfig
 
-LANDMARK_REACHED = 4.0  # [m] from a landmark at which a lost robot has tried it: well within the reach
-STEERING_LOST = 6.0  # [m], sd of a robot's place in the map beyond which it looks for known landmarks
-
-FIRST_PLANS = 4  # that are improved a little before the best of them are chosen
-LAP_SEARCH_FINALISTS = 2  # of these that are improved further before one is chosen
-FINE_SHARE = 0.4  # of the tries that the chosen one gets once more, judged on more layouts
-FINE_HEAT = 0.25  # of the heat with which that begins: it refines and does not wander off
-LAP_SEARCH_MOST_PLACES = 12  # a lap: more make the search slower and the laps no better
-LAP_SEARCH_ARRIVED = 5.0  # [m] from a place at which it is reached: cutting corners costs no coverage within the reach
-TAIL_STEPS = 40  # [steps] of driving judged beyond the laps: what repair takes where something is left
-MISSED_COST = 10.0  # [steps] for each landmark that the laps are expected to miss
-COARSE_CELL = 2.0  # [m], cells in which coverage is judged: four times faster than the field's own
-REACH_MARGIN = 0.7  # [m] of the reach not counted on: the true drive will differ a little
-POSE_STRIDE = 12  # [steps] between the poses that carry the information
-LAP_SEARCH_BORDER = 12.0  # [m] from the border at which the first plans' ring lies, a little less than the reach
-LAP_SEARCH_OVERLAP = 1.2  # of its share of the ring that a robot may go round, on into the next one's
-LAP_SEARCH_LAYOUTS = 24  # the same of the finalists: on 8 the best plan is the one that suits just these
-LAP_SEARCH_HOPELESS = ((8, 0.85), (24, 0.92))  # after so many a plan is given up whose error, times this, is too much
-HOPELESS_BY_NOW = ((1, 0.85), (2, 0.9), (4, 0.94))  # the same under way, when layouts share what is known
-FINE_LAYOUTS = 96  # the same of the chosen one
-LAP_SEARCH_REVISITS = 0.3  # of the changes tried under way that send a robot by a known landmark
-LAYOUTS_BY_NOW = 4  # on which a plan is judged under way, when most landmarks are known
-LEAST_RANGE = 2.0  # [m], sightings from nearer are not counted on to tell more
-
-COVERAGE_RADIUS = 10.0  # [m] of a disc: two thirds of the reach, so that passing its middle shows all of it
-COVERAGE_REPLAN_EVERY = 4  # [steps] between plans: two seconds, in which a robot sees what changes its tour
-GAIN_WEIGHT = 0.12  # [m] that a newly seen cell is worth: a course over new ground may be a little longer
-REVISE_EVERY = 10  # [steps] between changes: a robot has seen new ground as deep as half its reach by then
-COVERAGE_SURE_MARGIN = 0.7  # [m] by which a cell must be within the reach to count as seen when tours are changed
-SAME_LANDMARK = 3.0  # [m] within which two landmarks count as one when tours are changed
-COVERAGE_TURN_COST = 2.0  # [m/rad] that turning towards the first disc counts as: half a turn takes about 4 s
-COVERAGE_BALANCE = 0.3  # what the sum of all tours weighs beside the longest, those of `loop` too
-
-LOOP_RADIUS = 13.0  # [m] of a disc: larger than for `coverage`, so that fewer are left and a lap closes in time
-LOOP_RATE_ALONE = 17.0  # [m^2] the same for one robot, whose lap is longer
-LOOP_ARRIVED = 4.0  # [m] from a place of the tour at which it is reached: what lies there is in view by then
-
-JOINT_RATE = 23.0  # [m^2] of field a robot and step: how long the laps take
-JOINT_RATE_ALONE = 20.0  # [m^2] the same for one robot
-JOINT_DENSITY = 1 / 275  # [1/m^2] landmarks expected: those of the paper's field
-JOINT_SURE_MARGIN = 1.0  # [m] by which a cell must be within the reach to be surely seen: poses are estimates
-SURE_LEVELS = 4  # multiples of that margin, after which what was seen least surely is looked at again
-MOST_ROBOT_STEPS = 800  # robots times steps beyond which planning would take minutes and `loop` takes over
-
-VIEW_MARGIN = 1.0  # [m] a cell must be nearer than the reach to count as one that can be seen
-VIEW_NEIGHBOURS = 5  # places around a place that must see it too: no robot stands quite where it meant to
-SEARCH_RADIUS = 5.0  # [m] around an estimated pose in which it finds ground to stand on
-WALLS_STRIDE = 3  # [cells] of its path that a robot looks ahead where room is scarce
-LEAST_POCKET = 1.0  # [m^2] of unseen ground that is worth telling of
-STATION_SPACING = 2.0  # [m] between the places considered by `coverage` and `loop`
-WALLS_LEG = 2.0  # [m] of the path ahead whose narrowness allows a robot to come nearer to walls
-WALLS_DETOUR = 6.0  # [m] within which a robot plans its path round places where a wall was met lately
-
-OBJECTIVE_W_APART = 1 / 3  # weight of the distance to the others' submaps, w3
-APART_DISTANCE = 20.0  # [m] beyond which being farther from others is worth no more, d_t
-ESCAPE_UNCERTAINTY = 0.3  # [m^2] a landmark below which a robot that gains no area escapes, C_t
-STALL_STEPS = 10  # [steps] without gain after which the robot escapes whatever its uncertainty
-
 Limits = tuple[tuple[int, float], ...]  # (layouts, share of the error)
 
 
@@ -76,6 +18,8 @@ class SteeringConfig:
     """How a robot gets to a place it was given."""
 
     heading_cost: float = 3.0  # [m/rad] that a wrong heading counts as: no circling round a goal, no crawling
+    landmark_reached: float = 4.0  # [m] from a landmark at which a lost robot has tried it: well within the reach
+    lost: float = 6.0  # [m], sd of a robot's place in the map beyond which it looks for known landmarks
 
 
 @config
@@ -83,36 +27,73 @@ class LapSearchConfig:
     """How planner `joint` searches its laps and judges them."""
 
     tries: int = 700  # changes tried of a plan: with the others, twelve seconds for the paper's field
+    first_plans: int = 4  # that are improved a little before the best of them are chosen
+    finalists: int = 2  # of these that are improved further before one is chosen
+    fine_share: float = 0.4  # of the tries that the chosen one gets once more, judged on more layouts
+    fine_heat: float = 0.25  # of the heat with which that begins: it refines and does not wander off
+    most_places: int = 12  # a lap: more make the search slower and the laps no better
+    arrived: float = 5.0  # [m] from a place at which it is reached: cutting corners costs no coverage within the reach
+    tail_steps: int = 40  # [steps] of driving judged beyond the laps: what repair takes where something is left
+    missed_cost: float = 10.0  # [steps] for each landmark that the laps are expected to miss
+    coarse_cell: float = 2.0  # [m], cells in which coverage is judged: four times faster than the field's own
+    reach_margin: float = 0.7  # [m] of the reach not counted on: the true drive will differ a little
+    pose_stride: int = 12  # [steps] between the poses that carry the information
+    border: float = 12.0  # [m] from the border at which the first plans' ring lies, a little less than the reach
+    overlap: float = 1.2  # of its share of the ring that a robot may go round, on into the next one's
     rough_layouts: int = 8  # of landmarks on which the map's error of first plans is judged
+    layouts: int = 24  # the same of the finalists: on 8 the best plan is the one that suits just these
+    hopeless: Limits = ((8, 0.85), (24, 0.92))  # after so many a plan is given up whose error, times this, is too much
+    hopeless_by_now: Limits = ((1, 0.85), (2, 0.9), (4, 0.94))  # the same under way, when layouts share what is known
+    fine_layouts: int = 96  # the same of the chosen one
     looks: int = 1  # that are counted for each of those poses, evenly spread around it
     sight_margin: float = 0.0  # [m] of the reach in which landmarks are not counted on to be seen
+    revisits: float = 0.3  # of the changes tried under way that send a robot by a known landmark
+    layouts_by_now: int = 4  # on which a plan is judged under way, when most landmarks are known
     tries_by_now: int = 120  # changes tried under way: a tenth of a second
+    least_range: float = 2.0  # [m], sightings from nearer are not counted on to tell more
 
 
 @config
 class CoverageConfig:
     """Planner `coverage`: discs over what is unexplored, shared out as balanced tours."""
 
+    radius: float = 10.0  # [m] of a disc: two thirds of the reach, so that passing its middle shows all of it
+    replan_every: int = 4  # [steps] between plans: two seconds, in which a robot sees what changes its tour
+    gain_weight: float = 0.12  # [m] that a newly seen cell is worth: a course over new ground may be a little longer
     rate: float = 22.0  # [m^2] of field a robot and step: how long the tours of an open field take
     rate_alone: float = 19.0  # [m^2] the same for one robot
     error_weight: float = 70.0  # [steps/m] that expected map error is worth
     revise_from: int = 40  # [steps] before which too little is known to change tours for
+    revise_every: int = 10  # [steps] between changes: a robot has seen new ground as deep as half its reach by then
+    sure_margin: float = 0.7  # [m] by which a cell must be within the reach to count as seen when tours are changed
+    same_landmark: float = 3.0  # [m] within which two landmarks count as one when tours are changed
     tour_radius: float = 13.0  # [m] of a disc of the first tours, which are improved as laps are
     search: LapSearchConfig = LapSearchConfig(looks=4, sight_margin=0.7)  # with looks every third step of a lap
+    turn_cost: float = 2.0  # [m/rad] that turning towards the first disc counts as: half a turn takes about 4 s
+    balance: float = 0.3  # what the sum of all tours weighs beside the longest, those of `loop` too
 
 
 @config
 class LoopConfig:
     """Planner `loop`: a closed tour for each robot, then `coverage`."""
 
+    radius: float = 13.0  # [m] of a disc: larger than for `coverage`, so that fewer are left and a lap closes in time
     rate: float = 19.5  # [m^2] of field a robot and step: how long it goes on to close loops
+    rate_alone: float = 17.0  # [m^2] the same for one robot, whose lap is longer
+    arrived: float = 4.0  # [m] from a place of the tour at which it is reached: what lies there is in view by then
 
 
 @config
 class JointConfig:
     """Planner `joint`: laps of all robots planned together."""
 
+    rate: float = 23.0  # [m^2] of field a robot and step: how long the laps take
+    rate_alone: float = 20.0  # [m^2] the same for one robot
+    density: float = 1 / 275  # [1/m^2] landmarks expected: those of the paper's field
     error_weight: float = 100.0  # [steps/m] that expected map error is worth
+    sure_margin: float = 1.0  # [m] by which a cell must be within the reach to be surely seen: poses are estimates
+    sure_levels: int = 4  # multiples of that margin, after which what was seen least surely is looked at again
+    most_robot_steps: int = 800  # robots times steps beyond which planning would take minutes and `loop` takes over
     search: LapSearchConfig = LapSearchConfig()
 
 
@@ -126,6 +107,14 @@ class WallsConfig:
     path_cell: float = 0.4  # [m], raster on which paths round walls are found: half of what the narrowest door needs
     put_off_after: int = 60  # [steps] after which a target that was not seen is put off
     contact_steps: int = 40  # [steps] for which the place where a robot met a wall unexpectedly is kept clear of
+    view_margin: float = 1.0  # [m] a cell must be nearer than the reach to count as one that can be seen
+    view_neighbours: int = 5  # places around a place that must see it too: no robot stands quite where it meant to
+    search_radius: float = 5.0  # [m] around an estimated pose in which it finds ground to stand on
+    stride: int = 3  # [cells] of its path that a robot looks ahead where room is scarce
+    least_pocket: float = 1.0  # [m^2] of unseen ground that is worth telling of
+    station_spacing: float = 2.0  # [m] between the places considered by `coverage` and `loop`
+    leg: float = 2.0  # [m] of the path ahead whose narrowness allows a robot to come nearer to walls
+    detour: float = 6.0  # [m] within which a robot plans its path round places where a wall was met lately
 
 
 @config
@@ -142,7 +131,11 @@ class ObjectiveConfig:
 
     w_accuracy: float = 1 / 3  # weight of the map's expected accuracy, w1: the paper gives all three the same
     w_area: float = 1 / 3  # weight of new area, w2
+    w_apart: float = 1 / 3  # weight of the distance to the others' submaps, w3
+    apart_distance: float = 20.0  # [m] beyond which being farther from others is worth no more, d_t
+    escape_uncertainty: float = 0.3  # [m^2] a landmark below which a robot that gains no area escapes, C_t
     negligible_gain: int = 12  # [cells] up to which a control gains no area; the print's 0 keeps robots at specks
+    stall_steps: int = 10  # [steps] without gain after which the robot escapes whatever its uncertainty
     literal_escape: bool = False  # the printed rule alone: deadlocks under the stated noise
 
 
@@ -150,6 +143,8 @@ class ObjectiveConfig:
 class HandoverConfig:
     """When a submap goes into the global map, and which landmarks are taken for one then."""
 
+    after: int = 10  # [steps] before which no submap is handed over, n_s
+    uncertainty: float = 0.3  # [m^2] a landmark below which a submap is handed over, C_f
     by: int = 60  # [steps] after which a submap is handed over whatever its uncertainty
     pairing: PairingConfig = PairingConfig(sure=0.98)  # surer than a lone pair far off ever is: that waits
 

@@ -14,21 +14,7 @@ from ...core.se2 import wrap_angle
 from ...kernels.exploration.tours import balanced_tours, greedy_cover
 from . import among_walls
 from .belief import Explored, LandmarkBelief
-from .config import (
-    COVERAGE_BALANCE,
-    COVERAGE_RADIUS,
-    COVERAGE_REPLAN_EVERY,
-    COVERAGE_TURN_COST,
-    GAIN_WEIGHT,
-    JOINT_SURE_MARGIN,
-    LOOP_ARRIVED,
-    LOOP_RADIUS,
-    LOOP_RATE_ALONE,
-    MOST_ROBOT_STEPS,
-    STALL_STEPS,
-    SURE_LEVELS,
-    ExploreConfig,
-)
+from .config import ExploreConfig
 from .laps import begin, drive, find_laps, follow, improve_tours, lap_steps, lap_task, mark_sure, revise
 from .steering import ahead, given_up, nearest_unexplored, new_cells, next_target, offered, steer
 
@@ -40,7 +26,7 @@ def choose(belief: LandmarkBelief, poses: Float[np.ndarray, "r 3"], cfg: Explore
     """
     memory = belief.memory
     if "tour_steps" not in memory:
-        memory["tour_steps"] = lap_steps(belief, MOST_ROBOT_STEPS)
+        memory["tour_steps"] = lap_steps(belief, cfg.coverage, cfg.joint.most_robot_steps)
         if memory["tour_steps"]:
             begin_tours(belief, poses, cfg)
     if not memory["tour_steps"]:
@@ -49,7 +35,7 @@ def choose(belief: LandmarkBelief, poses: Float[np.ndarray, "r 3"], cfg: Explore
     revise(belief, poses, cfg.coverage)
 
     def goal(j: int) -> np.ndarray | None:
-        return follow(belief, j, poses[j]) if belief.step < memory["laps_end"] else None
+        return follow(belief, j, poses[j], cfg) if belief.step < memory["laps_end"] else None
 
     return drive(belief, poses, cfg, goal, lambda: cover(belief, poses, cfg))
 
@@ -60,10 +46,10 @@ def begin_tours(belief: LandmarkBelief, poses: np.ndarray, cfg: ExploreConfig) -
     every = np.argwhere(np.ones_like(belief.explored.fused))
     chosen = discs(belief, belief.explored.centres(every), cfg.coverage.tour_radius)
     tours, counts = balanced_tours(
-        approach_cost(poses[live], chosen, COVERAGE_TURN_COST),
+        approach_cost(poses[live], chosen, cfg.coverage.turn_cost),
         np.linalg.norm(chosen[:, None] - chosen[None], axis=-1),
         np.zeros((len(live), len(chosen))),
-        COVERAGE_BALANCE,
+        cfg.coverage.balance,
     )
     places: list[tuple[tuple[float, float], ...]] = [()] * len(belief.robots)
     for k, j in enumerate(live):
@@ -78,8 +64,8 @@ def cover(belief: LandmarkBelief, poses: Float[np.ndarray, "r 3"], cfg: ExploreC
     live = np.flatnonzero(belief.alive)
     stale = belief.step >= memory.get("plan_until", -1) or memory.get("plan_for") != tuple(live)
     if stale:
-        memory["goals"] = plan(belief, poses, live)
-        memory["plan_until"] = belief.step + COVERAGE_REPLAN_EVERY
+        memory["goals"] = plan(belief, poses, live, cfg)
+        memory["plan_until"] = belief.step + cfg.coverage.replan_every
         memory["plan_for"] = tuple(live)
     out = np.zeros((len(belief.robots), 2))
     for j in live:
@@ -100,25 +86,25 @@ def held_target(belief: LandmarkBelief, j: int, pose: np.ndarray, cfg: ExploreCo
     ex = belief.explored
     if j in targets and (ex.sees(j, targets[j]) or given_up(belief, j, targets[j], cfg)):
         del targets[j]
-    if j not in targets and belief.stalled[j] >= STALL_STEPS:
+    if j not in targets and belief.stalled[j] >= cfg.objective.stall_steps:
         goal = next_target(belief, j, pose)
         if goal is not None:
             targets[j] = goal
     return targets.get(j)
 
 
-def plan(belief: LandmarkBelief, poses: np.ndarray, live: np.ndarray) -> dict[int, np.ndarray]:
+def plan(belief: LandmarkBelief, poses: np.ndarray, live: np.ndarray, cfg: ExploreConfig) -> dict[int, np.ndarray]:
     """The next place (2,) for each live robot: the first disc of its tour, or the nearest unexplored cell."""
     ex = belief.explored
     cells = ex.centres(np.argwhere(~ex.team()))
     if len(cells) == 0:
         return {}
     if belief.floor is not None:
-        return among_walls.plan(belief, belief.floor, cells, poses, live)
-    chosen = discs(belief, cells, COVERAGE_RADIUS)
-    first = approach_cost(poses[live], chosen, COVERAGE_TURN_COST)
+        return among_walls.plan(belief, belief.floor, cells, poses, live, cfg)
+    chosen = discs(belief, cells, cfg.coverage.radius)
+    first = approach_cost(poses[live], chosen, cfg.coverage.turn_cost)
     between = np.linalg.norm(chosen[:, None] - chosen[None], axis=-1)
-    tours, counts = balanced_tours(first, between, np.zeros_like(first), COVERAGE_BALANCE)
+    tours, counts = balanced_tours(first, between, np.zeros_like(first), cfg.coverage.balance)
     goals: dict[int, np.ndarray] = {}
     for k, j in enumerate(live):
         goal = chosen[tours[k, 0]] if counts[k] else nearest_unexplored(cells, poses[j])
@@ -148,7 +134,9 @@ def towards(
     error = np.abs(wrap_angle(np.arctan2(d[:, 1], d[:, 0]) - after[:, 2]))
     distance = np.hypot(d[:, 0], d[:, 1])
     gain = new_cells(belief, j, after, cfg)
-    return np.asarray(controls[np.argmin(distance + cfg.steering.heading_cost * error - GAIN_WEIGHT * gain)])
+    return np.asarray(
+        controls[np.argmin(distance + cfg.steering.heading_cost * error - cfg.coverage.gain_weight * gain)]
+    )
 
 
 def discs(belief: LandmarkBelief, cells: Float[np.ndarray, "n 2"], radius: float) -> Float[np.ndarray, "k 2"]:
@@ -186,13 +174,13 @@ def choose_loop(
     memory = belief.memory
     if "laps" not in memory:
         memory["home"] = poses[:, :2].copy()
-        memory["laps"] = plan_laps(belief, poses)
+        memory["laps"] = plan_laps(belief, poses, cfg)
     memory["go_on_until"] = 0 if _closed(belief, memory["laps"]) else loop_steps(belief, cfg)
     out = np.zeros((len(belief.robots), 2))
     idle = []
     for j in map(int, np.flatnonzero(belief.alive)):
         lap = memory["laps"][j]
-        while lap and _passed(belief, j, poses[j], lap):
+        while lap and _passed(belief, j, poses[j], lap, cfg):
             lap.pop(0)
         if lap:
             out[j] = towards(belief, j, poses[j], lap[0], cfg)
@@ -210,11 +198,11 @@ def loop_steps(belief: LandmarkBelief, cfg: ExploreConfig) -> int:
     width, height = belief.upper - belief.lower
     area = float(width * height) if belief.floor is None else belief.floor.area
     live = max(1, int(belief.alive.sum()))
-    rate = cfg.loop.rate if live > 1 else LOOP_RATE_ALONE
+    rate = cfg.loop.rate if live > 1 else cfg.loop.rate_alone
     return round(area / (rate * live))
 
 
-def plan_laps(belief: LandmarkBelief, poses: np.ndarray) -> dict[int, list[np.ndarray]]:
+def plan_laps(belief: LandmarkBelief, poses: np.ndarray, cfg: ExploreConfig) -> dict[int, list[np.ndarray]]:
     """For each live robot the discs of its closed tour in order, its home last."""
     live = np.flatnonzero(belief.alive)
     ex = belief.explored
@@ -222,26 +210,26 @@ def plan_laps(belief: LandmarkBelief, poses: np.ndarray) -> dict[int, list[np.nd
     if len(cells) == 0:
         return {int(j): [] for j in live}
     if belief.floor is not None:
-        return among_walls.laps(belief, belief.floor, cells, poses, live)
-    chosen = discs(belief, cells, LOOP_RADIUS)
-    first = approach_cost(poses[live], chosen, COVERAGE_TURN_COST)
+        return among_walls.laps(belief, belief.floor, cells, poses, live, cfg)
+    chosen = discs(belief, cells, cfg.loop.radius)
+    first = approach_cost(poses[live], chosen, cfg.coverage.turn_cost)
     between = np.linalg.norm(chosen[:, None] - chosen[None], axis=-1)
     last = np.ascontiguousarray(np.linalg.norm(chosen[None] - poses[live][:, None, :2], axis=-1))
-    tours, counts = balanced_tours(first, between, last, COVERAGE_BALANCE)
+    tours, counts = balanced_tours(first, between, last, cfg.coverage.balance)
     return {int(j): [*(chosen[i] for i in tours[k, : counts[k]]), poses[j, :2].copy()] for k, j in enumerate(live)}
 
 
-def _passed(belief: LandmarkBelief, j: int, pose: np.ndarray, lap: list[np.ndarray]) -> bool:
+def _passed(belief: LandmarkBelief, j: int, pose: np.ndarray, lap: list[np.ndarray], cfg: ExploreConfig) -> bool:
     """Whether the lap's next place was reached, or all its disc covers is seen; home itself must be reached."""
-    if np.hypot(*(lap[0] - pose[:2])) < LOOP_ARRIVED:
-        return belief.floor is None or bool(belief.floor.sees(pose[:2], lap[0][None], LOOP_ARRIVED)[0])
+    if np.hypot(*(lap[0] - pose[:2])) < cfg.loop.arrived:
+        return belief.floor is None or bool(belief.floor.sees(pose[:2], lap[0][None], cfg.loop.arrived)[0])
     if len(lap) == 1:
         return False
     ex = belief.explored
     cells = ex.centres(np.argwhere(~ex.known_to(j)))
     if belief.floor is not None:
-        return not belief.floor.sees(lap[0], cells, LOOP_RADIUS).any()
-    return len(cells) == 0 or bool(np.hypot(*(cells - lap[0]).T).min() > LOOP_RADIUS)
+        return not belief.floor.sees(lap[0], cells, cfg.loop.radius).any()
+    return len(cells) == 0 or bool(np.hypot(*(cells - lap[0]).T).min() > cfg.loop.radius)
 
 
 def _closed(belief: LandmarkBelief, laps: dict[int, list[np.ndarray]]) -> bool:
@@ -258,32 +246,33 @@ def choose_joint(
     """
     memory = belief.memory
     if "lap_steps" not in memory:
-        memory["lap_steps"] = lap_steps(belief, MOST_ROBOT_STEPS)
+        memory["lap_steps"] = lap_steps(belief, cfg.joint, cfg.joint.most_robot_steps)
         if memory["lap_steps"]:
             task = lap_task(belief, poses, memory["lap_steps"], cfg.joint, cfg)
             begin(belief, task, find_laps(task))
     if not memory["lap_steps"]:
         return choose_loop(belief, poses, cfg)
     memory["go_on_until"] = memory["lap_steps"]
-    _note(belief, poses)
+    _note(belief, poses, cfg)
     seen_by = [bool(belief.explored.known_to(j).all()) for j in range(len(belief.robots))]
     return drive(
         belief,
         poses,
         cfg,
-        lambda j: _next(belief, j, poses[j], seen=seen_by[j]),
+        lambda j: _next(belief, j, poses[j], cfg, seen=seen_by[j]),
         lambda: _repair(belief, poses, cfg),
     )
 
 
-def _note(belief: LandmarkBelief, poses: np.ndarray) -> None:
+def _note(belief: LandmarkBelief, poses: np.ndarray, cfg: ExploreConfig) -> None:
     """Marks cells as seen with room to spare, a raster for each margin within the sensor's reach, growing.
 
     Poses are estimates: what was seen at the edge of the reach alone may not have been seen at all.
     """
-    sure = belief.memory.setdefault("sure", np.zeros((SURE_LEVELS, *belief.explored.fused.shape), dtype=bool))
+    joint = cfg.joint
+    sure = belief.memory.setdefault("sure", np.zeros((joint.sure_levels, *belief.explored.fused.shape), dtype=bool))
     for k, cells in enumerate(sure):
-        mark_sure(belief, poses, (k + 1) * JOINT_SURE_MARGIN, cells)
+        mark_sure(belief, poses, (k + 1) * joint.sure_margin, cells)
 
 
 def _repair(belief: LandmarkBelief, poses: np.ndarray, cfg: ExploreConfig) -> np.ndarray:
@@ -300,10 +289,10 @@ def _repair(belief: LandmarkBelief, poses: np.ndarray, cfg: ExploreConfig) -> np
     return cover(belief, poses, cfg)
 
 
-def _next(belief: LandmarkBelief, j: int, pose: np.ndarray, *, seen: bool) -> np.ndarray | None:
+def _next(belief: LandmarkBelief, j: int, pose: np.ndarray, cfg: ExploreConfig, *, seen: bool) -> np.ndarray | None:
     """Where robot j goes: the next place of its lap while that is worth it, or of another's when all is seen."""
     memory = belief.memory
-    goal, lap = follow(belief, j, pose), memory["laps"][j]
+    goal, lap = follow(belief, j, pose, cfg), memory["laps"][j]
     late = belief.step >= memory["laps_end"]
     if seen and goal is None:
         turns = memory.setdefault("turns", {})

@@ -13,7 +13,7 @@ from ...kernels.walls.segments import Raster, sight_on_raster
 from ...kernels.walls.sight import nearest_views, points_in_sight
 from ...sim.field import Field
 from ..ground import CostToGo, Ground
-from .config import LEAST_POCKET, SEARCH_RADIUS, VIEW_MARGIN, VIEW_NEIGHBOURS, WALLS_STRIDE, ExploreConfig, WallsConfig
+from .config import ExploreConfig, WallsConfig
 
 KEPT = 64  # goals whose distances are remembered
 
@@ -48,7 +48,9 @@ class FloorPlan:
     def stand(self, points: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, "n 2"]:
         """For each point the ground (row, col) to stand on: its own, the nearest in sight, or else the nearest."""
         r = self.ground
-        out = nearest_views(frozen(points), r.free, Raster(r.lower, r.cell), SEARCH_RADIUS, self.walls.segments, 0)
+        out = nearest_views(
+            frozen(points), r.free, Raster(r.lower, r.cell), self.cfg.search_radius, self.walls.segments, 0
+        )
         lost = np.flatnonzero(out[:, 0] < 0)
         if len(lost):
             free = np.argwhere(r.free)
@@ -102,7 +104,7 @@ class FloorPlan:
         if not len(way):
             return goal
         last = len(way) - 1
-        k = min(WALLS_STRIDE, last)
+        k = min(self.cfg.stride, last)
         while k < last and sight_on_raster(self.roomy, way[0, ::-1] + 0.5, way[k + 1, ::-1] + 0.5):
             k += 1
         return goal if k == last else self.ground.centres(way[k][None])[0]
@@ -113,7 +115,7 @@ class FloorPlan:
         d = np.linalg.norm(r.centres(np.argwhere(r.free))[:, None] - shut[None], axis=-1)
         free = r.free.copy()
         free[r.free] = d.min(axis=1) >= room
-        without = Ground(np.where(free, r.weight, np.uint8(0)), r.lower, r.cell, SEARCH_RADIUS)
+        without = Ground(np.where(free, r.weight, np.uint8(0)), r.lower, r.cell, self.cfg.search_radius)
         return without.cost_to_go(without.cells(r.centres(np.array([to]))))
 
     def sees(self, place: Float[np.ndarray, "2"], points: Float[np.ndarray, "n 2"], far: float) -> np.ndarray:
@@ -134,7 +136,7 @@ def survey_floor(world: Field, walls: Walls, cfg: ExploreConfig) -> FloorPlan:
     raster = Raster(lower, cell)
     free = ~walls.blocked(lower, world.upper, cell, room)
     starts = frozen(world.starts[:, :2])
-    at = nearest_views(starts, free, raster, SEARCH_RADIUS, walls.segments, 0)
+    at = nearest_views(starts, free, raster, cfg.walls.search_radius, walls.segments, 0)
     for j in np.flatnonzero(at[:, 0] < 0):
         x, y = starts[j]
         raise DataError(f"robot {j + 1} at ({x:g}, {y:g}) has nowhere to go: no ground with {room:g} m of room is near")
@@ -147,10 +149,10 @@ def survey_floor(world: Field, walls: Walls, cfg: ExploreConfig) -> FloorPlan:
     nx, ny = (int(np.ceil((world.upper[k] - lower[k]) / cfg.mission.cell - 1e-9)) for k in (0, 1))
     x, y = (lower[k] + (np.arange(n) + 0.5) * cfg.mission.cell for k, n in ((0, nx), (1, ny)))
     centres = frozen(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
-    far = cfg.submap.reach - VIEW_MARGIN
-    views = nearest_views(centres, ground.free, raster, far, walls.segments, VIEW_NEIGHBOURS)
+    far = cfg.submap.reach - cfg.walls.view_margin
+    views = nearest_views(centres, ground.free, raster, far, walls.segments, cfg.walls.view_neighbours)
     views[walls.inside(centres)] = -1
-    marks = nearest_views(frozen(world.landmarks), ground.free, raster, far, walls.segments, VIEW_NEIGHBOURS)
+    marks = nearest_views(frozen(world.landmarks), ground.free, raster, far, walls.segments, cfg.walls.view_neighbours)
     seen = (views[:, 0] >= 0).reshape(ny, nx)
     return FloorPlan(
         walls,
@@ -199,5 +201,5 @@ def _pockets(
         pieces, count = label(unseen == part)
         area = np.bincount(pieces.ravel(), minlength=count + 1) * cell**2
         stands = set(np.unique(pieces[roomy]))
-        areas += [float(area[k]) for k in range(1, count + 1) if k in stands and area[k] >= LEAST_POCKET]
+        areas += [float(area[k]) for k in range(1, count + 1) if k in stands and area[k] >= cfg.walls.least_pocket]
     return tuple(sorted(areas, reverse=True))

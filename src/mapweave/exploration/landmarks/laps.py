@@ -23,38 +23,7 @@ from ...kernels.exploration.objective import mark_half_disc
 from ...kernels.walls.segments import Raster, Sector
 from ...landmarks.submap_slam import SubmapConfig
 from .belief import LandmarkBelief
-from .config import (
-    COARSE_CELL,
-    COVERAGE_SURE_MARGIN,
-    FINE_HEAT,
-    FINE_LAYOUTS,
-    FINE_SHARE,
-    FIRST_PLANS,
-    HOPELESS_BY_NOW,
-    JOINT_DENSITY,
-    JOINT_RATE,
-    JOINT_RATE_ALONE,
-    LAP_SEARCH_ARRIVED,
-    LAP_SEARCH_BORDER,
-    LAP_SEARCH_FINALISTS,
-    LAP_SEARCH_HOPELESS,
-    LAP_SEARCH_LAYOUTS,
-    LAP_SEARCH_MOST_PLACES,
-    LAP_SEARCH_OVERLAP,
-    LAP_SEARCH_REVISITS,
-    LAYOUTS_BY_NOW,
-    LEAST_RANGE,
-    MISSED_COST,
-    POSE_STRIDE,
-    REACH_MARGIN,
-    REVISE_EVERY,
-    SAME_LANDMARK,
-    TAIL_STEPS,
-    CoverageConfig,
-    ExploreConfig,
-    JointConfig,
-    LapSearchConfig,
-)
+from .config import CoverageConfig, ExploreConfig, JointConfig, LapSearchConfig
 from .steering import steer
 
 Plan = tuple[Float[np.ndarray, "r k 2"], Int[np.ndarray, " r"]]
@@ -92,7 +61,7 @@ class Past:
 
 def beginning(task: LapTask) -> Past:
     """Everybody at its start, nothing seen."""
-    shape = np.ceil((np.array(task.upper) - task.lower) / COARSE_CELL - 1e-9).astype(int)[::-1]
+    shape = np.ceil((np.array(task.upper) - task.lower) / task.search.coarse_cell - 1e-9).astype(int)[::-1]
     starts = np.array(task.starts)
     return Past(starts[:, None], np.zeros((0, 2)), np.zeros(shape, dtype=bool), np.ones(len(starts), dtype=bool))
 
@@ -116,12 +85,12 @@ class LapJudge:
         if not self.past.explored.any():
             return rng.uniform(self.lower, self.upper, size=(layouts, self.landmarks, 2))
         left = np.argwhere(~self.past.explored)[:, ::-1]
-        new = round(t.density * len(left) * COARSE_CELL**2)
+        new = round(t.density * len(left) * t.search.coarse_cell**2)
         if new == 0:
             return known[None]
         drawn = rng.uniform(size=(layouts, new, 3))
         cells = left[(drawn[..., 0] * len(left)).astype(np.int64)]
-        places = np.minimum(self.lower + (cells + drawn[..., 1:]) * COARSE_CELL, self.upper)
+        places = np.minimum(self.lower + (cells + drawn[..., 1:]) * t.search.coarse_cell, self.upper)
         return np.concatenate([np.broadcast_to(known, (layouts, *known.shape)), places], axis=1)
 
     def __call__(self, plan: Plan, enough: float = np.inf) -> float:
@@ -131,7 +100,7 @@ class LapJudge:
         share = self.shares(track)
         missed = self.landmarks * (1.0 - share[-1])
         late = (1.0 - share[max(t.steps - self.step, 0) :] ** self.landmarks).sum()
-        cost = float(t.steps + late + MISSED_COST * missed)
+        cost = float(t.steps + late + t.search.missed_cost * missed)
         if cost > enough:
             return cost
         left = (enough - cost) / t.error_weight if t.error_weight else np.inf
@@ -140,14 +109,14 @@ class LapJudge:
     def drive(self, plan: Plan) -> np.ndarray:
         """Poses (M, n, 3) of a drive without noise from now on, a little longer than the task."""
         t = self.task
-        rules = LapRules(self.controls, t.submap.period, self.lower, self.upper, LAP_SEARCH_ARRIVED, t.heading_cost)
-        return drive_laps(*plan, self.here, rules, max(t.steps - self.step, 0) + TAIL_STEPS)
+        rules = LapRules(self.controls, t.submap.period, self.lower, self.upper, t.search.arrived, t.heading_cost)
+        return drive_laps(*plan, self.here, rules, max(t.steps - self.step, 0) + t.search.tail_steps)
 
     def shares(self, track: np.ndarray) -> np.ndarray:
         """What share of the field is seen by each step of `track`."""
-        s = self.task.submap
-        sector = Sector(s.reach - REACH_MARGIN, s.half_angle)
-        return seen_shares(track, self.past.explored, sector, Raster(self.lower, COARSE_CELL))
+        s, search = self.task.submap, self.task.search
+        sector = Sector(s.reach - search.reach_margin, s.half_angle)
+        return seen_shares(track, self.past.explored, sector, Raster(self.lower, search.coarse_cell))
 
     def error(self, track: np.ndarray, enough: float = np.inf) -> float:
         """Mean error [m] expected of the landmarks after the task's steps, over the layouts. track: (M, n, 3) from now.
@@ -155,20 +124,20 @@ class LapJudge:
         Of a plan whose first layouts make it very probable that this is above `enough`, theirs alone, above it too.
         """
         s, search = self.task.submap, self.task.search
-        every = POSE_STRIDE
+        every = search.pose_stride
         nodes = max(self.task.steps, self.step + every) // every
         whole = np.concatenate([self.past.trail[:, :-1], track], axis=1)[:, : nodes * every + 1]
         whole = np.ascontiguousarray(whole)
         sensor = LandmarkSensor(
             Sector(s.reach, s.half_angle),
             s.R,
-            LEAST_RANGE,
+            search.least_range,
             self.step,
             search.sight_margin,
             max(1, every // search.looks),
         )
         odometry = odometry_information(whole, every, s.Q)
-        limits = dict(HOPELESS_BY_NOW if self.step else LAP_SEARCH_HOPELESS)
+        limits = dict(search.hopeless_by_now if self.step else search.hopeless)
         total = 0.0  # of landmarks seen: those missed are dear already
         for k, marks in enumerate(self.layouts):
             S = odometry.copy()
@@ -201,20 +170,20 @@ def find_laps(task: LapTask) -> tuple[Laps, int]:
     The same for the same task; the step is no sooner than the task's.
     """
     rng, search = np.random.default_rng(0), task.search
-    rough, judge, fine = (LapJudge(task, n) for n in (search.rough_layouts, LAP_SEARCH_LAYOUTS, FINE_LAYOUTS))
-    first = sorted(_first_plans(task), key=rough)[:FIRST_PLANS]
+    rough, judge, fine = (LapJudge(task, n) for n in (search.rough_layouts, search.layouts, search.fine_layouts))
+    first = sorted(_first_plans(task), key=rough)[: search.first_plans]
     begun = sorted((_improve(plan, rough, search.tries // 4, rng) for plan in first), key=lambda b: b[0])
-    better = [_improve(plan, judge, search.tries, rng) for _, plan in begun[:LAP_SEARCH_FINALISTS]]
+    better = [_improve(plan, judge, search.tries, rng) for _, plan in begun[: search.finalists]]
     best = min(better, key=lambda b: b[0])[1]
-    _, plan = _improve(best, fine, round(FINE_SHARE * search.tries), rng, FINE_HEAT)
+    _, plan = _improve(best, fine, round(search.fine_share * search.tries), rng, search.fine_heat)
     return _laps(plan), _end(plan, fine)
 
 
 @lru_cache(maxsize=8)
 def improve_tours(task: LapTask, tours: tuple[tuple[tuple[float, float], ...], ...]) -> tuple[Laps, int]:
     """Tours of places [m] made laps for a task that begins, and the step at which they show nothing new any more."""
-    judge = LapJudge(task, LAP_SEARCH_LAYOUTS)
-    plan = _plan([np.array(tour).reshape(-1, 2) for tour in tours], LAP_SEARCH_MOST_PLACES)
+    judge = LapJudge(task, task.search.layouts)
+    plan = _plan([np.array(tour).reshape(-1, 2) for tour in tours], task.search.most_places)
     _, plan = _improve(plan, judge, task.search.tries, np.random.default_rng(0))
     return _laps(plan), _end(plan, judge)
 
@@ -222,9 +191,9 @@ def improve_tours(task: LapTask, tours: tuple[tuple[tuple[float, float], ...], .
 def revise_laps(task: LapTask, past: Past, laps: Laps) -> tuple[Laps, int]:
     """What is left of `laps`, changed for what is known by now, and the step at which they show nothing new."""
     search = task.search
-    judge = LapJudge(task, LAYOUTS_BY_NOW, past)
+    judge = LapJudge(task, search.layouts_by_now, past)
     rng = np.random.default_rng(judge.step)
-    _, plan = _improve(_plan(laps, LAP_SEARCH_MOST_PLACES), judge, search.tries_by_now, rng)
+    _, plan = _improve(_plan(laps, search.most_places), judge, search.tries_by_now, rng)
     return _laps(plan), _end(plan, judge)
 
 
@@ -255,13 +224,13 @@ def _first_plans(task: LapTask) -> list[Plan]:
     lower, upper, starts = np.array(task.lower), np.array(task.upper), np.array(task.starts)
     around = starts[:, :2] - starts[:, :2].mean(axis=0)
     place = np.argsort(np.argsort(np.arctan2(around[:, 1], around[:, 0])))
-    plans = []
+    plans, search = [], task.search
     arc = 2 * np.pi / len(starts)
-    for turn in (arc, -arc, LAP_SEARCH_OVERLAP * arc, -LAP_SEARCH_OVERLAP * arc):
+    for turn in (arc, -arc, search.overlap * arc, -search.overlap * arc):
         for first in np.arange(8) * np.pi / 4:
-            ways, counts = np.zeros((len(starts), LAP_SEARCH_MOST_PLACES, 2)), np.zeros(len(starts), dtype=np.int64)
+            ways, counts = np.zeros((len(starts), search.most_places, 2)), np.zeros(len(starts), dtype=np.int64)
             for j, k in enumerate(place):
-                lap = [*_on_the_ring(lower, upper, first + arc * k, turn, LAP_SEARCH_BORDER), starts[j, :2]]
+                lap = [*_on_the_ring(lower, upper, first + arc * k, turn, search.border), starts[j, :2]]
                 ways[j, : len(lap)], counts[j] = lap, len(lap)
             plans.append((ways, counts))
     return plans
@@ -288,7 +257,7 @@ def _improve(
     for k in range(tries if len(judge.movers) else 0):
         left = heat * (1.0 - k / tries)
         size = 1.0 + 8.0 * left
-        back = rng.random() < LAP_SEARCH_REVISITS if len(judge.past.marks) else False
+        back = rng.random() < judge.task.search.revisits if len(judge.past.marks) else False
         other = _revisiting(plan, judge, size, rng) if back else _changed(plan, judge, size, rng)
         bound = now - 2.0 * left * np.log(rng.random())
         cost = judge(other, bound)
@@ -352,7 +321,7 @@ def _least_detour(here: np.ndarray, way: Float[np.ndarray, "n 2"], place: np.nda
     return int(np.argmin(added))
 
 
-def lap_steps(belief: LandmarkBelief, most_robot_steps: int) -> int:
+def lap_steps(belief: LandmarkBelief, part: JointConfig | CoverageConfig, most_robot_steps: int) -> int:
     """How long the live robots take for laps of an open field at the rate of `part`; 0 where laps are not planned.
 
     They are not among walls, nor where the search would take minutes.
@@ -360,7 +329,7 @@ def lap_steps(belief: LandmarkBelief, most_robot_steps: int) -> int:
     if belief.floor is not None:
         return 0
     live = max(1, int(belief.alive.sum()))
-    rate = JOINT_RATE if live > 1 else JOINT_RATE_ALONE
+    rate = part.rate if live > 1 else part.rate_alone
     steps = round(float(np.prod(belief.upper - belief.lower)) / (rate * live))
     return steps if live * steps <= most_robot_steps else 0
 
@@ -376,7 +345,7 @@ def lap_task(
         tuple(map(tuple, cfg.controls)),
         replace(cfg.submap, association="known"),  # which laps are good does not hang on it
         steps,
-        JOINT_DENSITY,
+        cfg.joint.density,
         part.error_weight,
         part.search,
         cfg.steering.heading_cost,
@@ -426,26 +395,26 @@ def revise(belief: LandmarkBelief, poses: np.ndarray, cfg: CoverageConfig) -> No
     memory, task = belief.memory, belief.memory["task"]
     memory.setdefault("trail", []).append(poses.copy())
     surely = memory.setdefault("surely", np.zeros_like(belief.explored.fused))
-    mark_sure(belief, poses, COVERAGE_SURE_MARGIN, surely)
-    if not cfg.revise_from <= belief.step < task.steps or belief.step % REVISE_EVERY:
+    mark_sure(belief, poses, cfg.sure_margin, surely)
+    if not cfg.revise_from <= belief.step < task.steps or belief.step % cfg.revise_every:
         return
     laps = tuple(
         np.array(lap if alive else []).reshape(-1, 2) for lap, alive in zip(memory["laps"], belief.alive, strict=True)
     )
     past = Past(
         np.stack(memory["trail"], axis=1),
-        _known(belief, SAME_LANDMARK),
-        _coarse(surely, belief),
+        _known(belief, cfg.same_landmark),
+        _coarse(surely, belief, task),
         belief.alive.copy(),
     )
     laps, memory["laps_end"] = revise_laps(task, past, laps)
     memory["laps"] = [list(lap) for lap in laps]
 
 
-def follow(belief: LandmarkBelief, j: int, pose: np.ndarray) -> np.ndarray | None:
+def follow(belief: LandmarkBelief, j: int, pose: np.ndarray, cfg: ExploreConfig) -> np.ndarray | None:
     """The next place (2,) of robot j's lap, None when it has passed them all; those passed are gone."""
     lap: list[np.ndarray] = belief.memory["laps"][j]
-    while lap and np.hypot(*(lap[0] - pose[:2])) < LAP_SEARCH_ARRIVED:
+    while lap and np.hypot(*(lap[0] - pose[:2])) < cfg.joint.search.arrived:
         lap.pop(0)
     return lap[0] if lap else None
 
@@ -461,9 +430,9 @@ def _known(belief: LandmarkBelief, same: float) -> Float[np.ndarray, "k 2"]:
     return np.array(marks).reshape(-1, 2)
 
 
-def _coarse(seen: np.ndarray, belief: LandmarkBelief) -> Bool[np.ndarray, "ny nx"]:
+def _coarse(seen: np.ndarray, belief: LandmarkBelief, task: LapTask) -> Bool[np.ndarray, "ny nx"]:
     """`seen` on the judge's raster: of each of its cells, whether the field's cell at its middle was seen."""
-    cell = COARSE_CELL
+    cell = task.search.coarse_cell
     nx, ny = np.ceil((belief.upper - belief.lower) / cell - 1e-9).astype(int)
     rows, cols = (
         np.minimum(((np.arange(n) + 0.5) * cell / belief.explored.cell).astype(int), most - 1)

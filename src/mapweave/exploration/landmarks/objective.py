@@ -11,7 +11,7 @@ from ...core.records import owned
 from ...kernels.exploration.objective import MotionAndSight, expected_uncertainty, map_uncertainty
 from ...kernels.walls.segments import Sector
 from .belief import LandmarkBelief
-from .config import APART_DISTANCE, ESCAPE_UNCERTAINTY, OBJECTIVE_W_APART, STALL_STEPS, ExploreConfig
+from .config import ExploreConfig
 from .steering import given_up, new_cells, next_target, offered, steer, way_back
 
 OUT_OF_REACH = 1e6  # [m], where landmarks are put that nobody sees
@@ -53,9 +53,9 @@ def objective(
         least = C.min()
         J = J + cfg.objective.w_accuracy * (least / np.maximum(C, 1e-300) if least > 0 else np.ones_like(C))
     others = [i for i in np.flatnonzero(belief.alive) if i != j]
-    if others and OBJECTIVE_W_APART:
+    if others and cfg.objective.w_apart:
         d = np.stack([distance_to_hull(hulls[i], after[:, :2]) for i in others])
-        J = J + OBJECTIVE_W_APART * np.minimum(d / APART_DISTANCE, 1.0).mean(axis=0)
+        J = J + cfg.objective.w_apart * np.minimum(d / cfg.objective.apart_distance, 1.0).mean(axis=0)
     return controls, J, gain
 
 
@@ -68,7 +68,7 @@ def _choose_one(
     cfg: ExploreConfig,
 ) -> np.ndarray:
     ex = belief.explored
-    known = None if cfg.objective.literal_escape else way_back(belief, j, pose)
+    known = None if cfg.objective.literal_escape else way_back(belief, j, pose, cfg)
     if known is not None:
         return steer(belief, pose, known, cfg)
     if j in targets:
@@ -79,8 +79,8 @@ def _choose_one(
     controls, J, gain = objective(belief, j, pose, hulls, cfg)
     if gain.max() <= cfg.objective.negligible_gain:
         sub = belief.submaps[j]
-        sure = map_uncertainty(np.asarray(sub.cov)) / (len(sub.ids) + 1) <= ESCAPE_UNCERTAINTY
-        stalled = not cfg.objective.literal_escape and belief.stalled[j] >= STALL_STEPS
+        sure = map_uncertainty(np.asarray(sub.cov)) / (len(sub.ids) + 1) <= cfg.objective.escape_uncertainty
+        stalled = not cfg.objective.literal_escape and belief.stalled[j] >= cfg.objective.stall_steps
         goal = next_target(belief, j, pose) if sure or stalled else None
         if goal is not None:
             targets[j] = goal

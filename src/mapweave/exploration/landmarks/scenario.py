@@ -23,7 +23,7 @@ from ..world import (
     plan_walls,
     wall_segments,
 )
-from .config import COARSE_CELL, ExploreConfig
+from .config import ExploreConfig
 
 MOST_LANDMARKS = 3000  # their joint covariance takes 300 MB
 BUILT_IN = {"yuan": 1.0, "yuan-large": 4.0}  # name -> area relative to the paper's field
@@ -107,7 +107,7 @@ def check_rasters(scenario: ScenarioConfig, robots: int, cfg: ExploreConfig) -> 
             f"mission.cell: a field of {w:g} m x {h:g} m is smaller than a cell of {cfg.mission.cell:g} m"
         )
     check_cells(f"mission.cell, {robots} robots", lower, upper, cfg.mission.cell, MOST_KNOWN / robots)
-    check_cells("joint.search.coarse_cell", lower, upper, COARSE_CELL, MOST_KNOWN)
+    check_cells("joint.search.coarse_cell", lower, upper, cfg.joint.search.coarse_cell, MOST_KNOWN)
     if scenario.walls is not None:
         check_cells("walls.path_cell / 4", lower, upper, 0.25 * cfg.walls.path_cell, MOST_CELLS)
 

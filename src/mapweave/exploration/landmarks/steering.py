@@ -11,7 +11,7 @@ from ...kernels.walls.segments import Sector, distance_of_moves
 from ...kernels.walls.sight import unexplored_in_sight
 from ...landmarks.submap_slam import move
 from .belief import LandmarkBelief
-from .config import LANDMARK_REACHED, STEERING_LOST, WALLS_DETOUR, WALLS_LEG, ExploreConfig
+from .config import ExploreConfig
 from .floor_plan import FloorPlan
 
 
@@ -55,7 +55,7 @@ def clear_controls(
     comfort = cfg.walls.comfort
     if towards is not None:
         step = towards - pose[:2]
-        near = pose[:2] + step * min(1.0, WALLS_LEG / max(float(np.hypot(*step)), 1e-9))
+        near = pose[:2] + step * min(1.0, cfg.walls.leg / max(float(np.hypot(*step)), 1e-9))
         leg = distance_of_moves(pose[None, :2].copy(), near[None], obstacles)[0] - cfg.walls.robot_radius
         comfort = min(comfort, max(cfg.walls.margin, 0.8 * float(leg)))
     controls = cfg.controls
@@ -102,7 +102,7 @@ def ahead(belief: LandmarkBelief, pose: Float[np.ndarray, "3"], goal: np.ndarray
     """Where (2,) to head for now on the way to `goal`: the goal itself in an open field, else round the walls."""
     if belief.floor is None:
         return goal
-    near = belief.contacts[np.hypot(*(belief.contacts - pose[:2]).T) < WALLS_DETOUR]
+    near = belief.contacts[np.hypot(*(belief.contacts - pose[:2]).T) < cfg.walls.detour]
     return belief.floor.waypoint(pose[:2], goal, near, cfg.walls.robot_radius + cfg.walls.margin)
 
 
@@ -120,7 +120,7 @@ def _time_to(poses: Float[np.ndarray, "m 3"], goal: Float[np.ndarray, "2"], cfg:
     return np.asarray(np.hypot(d[:, 0], d[:, 1]) + cfg.steering.heading_cost * error)
 
 
-def way_back(belief: LandmarkBelief, j: int, pose: Float[np.ndarray, "3"]) -> np.ndarray | None:
+def way_back(belief: LandmarkBelief, j: int, pose: Float[np.ndarray, "3"], cfg: ExploreConfig) -> np.ndarray | None:
     """Where (2,) robot j finds itself again: the nearest mapped landmark not tried yet; None while it is not lost.
 
     Lost: its place in the map has a standard deviation beyond `cfg.steering.lost`. A landmark reached without help
@@ -129,12 +129,12 @@ def way_back(belief: LandmarkBelief, j: int, pose: Float[np.ndarray, "3"]) -> np
     tried: dict[int, set[str]] = belief.memory.setdefault("tried", {})
     G = belief.global_map
     _, P = pose_in_map(G, belief.submaps[j])
-    if not G.ids or np.linalg.eigvalsh(P[:2, :2])[-1] <= STEERING_LOST**2:
+    if not G.ids or np.linalg.eigvalsh(P[:2, :2])[-1] <= cfg.steering.lost**2:
         tried.pop(j, None)
         return None
     seen = tried.setdefault(j, set())
     d = np.hypot(*(G.mean - pose[:2]).T)
-    seen.update(G.ids[i] for i in np.flatnonzero(d < LANDMARK_REACHED))
+    seen.update(G.ids[i] for i in np.flatnonzero(d < cfg.steering.landmark_reached))
     left = [i for i in range(len(G.ids)) if G.ids[i] not in seen]
     if not left:
         seen.clear()

@@ -25,11 +25,8 @@ from ...landmarks.submap_slam import Observations, empty, in_view, move, predict
 from ...sim.field import Field
 from ..planner_interface import query_planner
 from .belief import Explored, LandmarkBelief, Planner
-from .config import STEERING_LOST, ExploreConfig
+from .config import ExploreConfig
 from .floor_plan import FloorPlan, survey_floor
-
-HANDOVER_AFTER = 10  # [steps] before which no submap is handed over, n_s
-HANDOVER_UNCERTAINTY = 0.3  # [m^2] a landmark below which a submap is handed over, C_f
 
 
 @dataclass(slots=True)
@@ -318,14 +315,14 @@ class Team:
 
     def _due(self, j: int) -> bool:
         c, sub = self.cfg, self.submaps[j]
-        sure = map_uncertainty(np.asarray(sub.cov)) / (len(sub.ids) + 1) < HANDOVER_UNCERTAINTY
+        sure = map_uncertainty(np.asarray(sub.cov)) / (len(sub.ids) + 1) < c.handover.uncertainty
         helps = bool(self._lost(j) and len(sub.ids))
-        return (self.ages[j] > HANDOVER_AFTER and (sure or helps)) or self.ages[j] >= c.handover.by
+        return (self.ages[j] > c.handover.after and (sure or helps)) or self.ages[j] >= c.handover.by
 
     def _lost(self, j: int) -> bool:
         """Whether robot j no longer knows where in the map it is: what it sees now may tell."""
         P = pose_in_map(self.G, self.submaps[j])[1]
-        return bool(np.linalg.eigvalsh(P[:2, :2])[-1] > STEERING_LOST**2)
+        return bool(np.linalg.eigvalsh(P[:2, :2])[-1] > self.cfg.steering.lost**2)
 
     def _hand_over(self, j: int, *, surely: bool = False) -> bool:
         """The submap joins the map and starts anew; a lost message leaves it as it is, to be sent again next step."""

@@ -10,68 +10,64 @@ from ...core.config import config
 from ...mapping.config import LaserTeamConfig
 from ...sim.laser_team import LaserRobotsConfig
 
-GOAL_ARRIVED = 0.35  # [m] from a goal at which a robot is there: a cell and a half of the planning grid
-GOAL_SNAP = 1.0  # [m] within which a place off the ground counts as its nearest cell
-GOAL_PROGRESS = 0.2  # [m] nearer that counts as progress: a cell of the planning grid
-SEEN_SHARE = 0.8  # of a goal's unknown cells after which it is done: the rest is noise of the walls
-SPARE_WAY = 20.0  # [m] farther than needed that paths to a goal are looked for, so that detours are known
-PATIENCE_FACTOR = 10  # times `patience` after which a goal is put off however often it came nearer
-GOAL_SAME = 0.8  # [m] between places below which they are one goal: two robots' width
 
-RIGHT_OF_WAY_MEETING = 2.5  # [m] apart beyond which robots do not meet
-NEXT_WAY = 2.0  # [m] of a robot's path on which another stands in its way
-CLEAR_WAY = 6.0  # [m] of the other's path that a waiting robot keeps clear of: through a door and on
-WAIT_STEPS = 40  # [steps] that a robot waits aside at most
-RIGHT_OF_WAY_BESIDE = 0.1  # [m] beyond what two robots need to pass, where a robot waits
-LEFT_PLACE = 0.6  # [m] from where a robot was beyond which it has left that place
-STUCK_STEPS = 30  # [steps] about one place after which a robot tries something else
-RETRY_FROM = 1.0  # [m] of path at least to the place it tries again from
-RETRY_TO = 4.0  # [m] of path at most to that place
-RETRY_STEPS = 15  # [steps] that getting there may take
-RETRY_ARRIVED = 0.3  # [m] from that place at which it is reached
-RIGHT_OF_WAY_PARTED = 1.5  # times `meeting` apart beyond which nobody waits for the other any more
-RIGHT_OF_WAY_STANDING = 0.03  # [m] a step, up to which a robot stands still
-LEAVING_STEPS = 3  # [steps] of standing still up to which a robot with a goal is about to leave
+@config
+class GoalConfig:
+    """When a goal is reached, done, put off or another's."""
 
-SAME_PIECE = 1.5  # [m] from the goal that was made of it within which what is left of a piece lies
-ON_THE_WAY = 1.0  # [m], a detour that small is none
-ALLOCATION_TURN_COST = 0.6  # [m/rad] that turning towards a goal counts as: what the robot would drive meanwhile
-WALL_COST = 4  # what a metre of path by a wall counts beside one in the open, 1 to 255
-PARKED_COST = 12  # what a metre of path where a robot stands counts: one goes round it if one can
-ALLOCATION_BALANCE = 0.3  # what the sum of all tours weighs beside the longest
-ALLOCATION_STRETCH = 3  # places of a tour that are moved together to better it, at most
-
-OCCUPIED_SHARE = 0.2  # of a cell's beams that end in it make it a wall: along a wall's face most go through
-LASER_EXPLORE_ROOMY = 0.6  # [m] from walls, where a path costs no more than its length
-LASER_EXPLORE_SLIVER = 0.15  # [m^2], unknown patches smaller than this are nobody's goal: four cells
-LASER_EXPLORE_SPLIT = 2.5  # [m], longest side of a piece of frontier that makes one goal
-LASER_EXPLORE_REPLAN_EVERY = 12  # [steps] between plans: six seconds, in which a robot sees a new room
-REPLAN_SOONEST = 4  # [steps] between plans at least, when a robot has nothing to do
-LASER_EXPLORE_KEEP = 2.0  # [m] that another goal must be nearer before a robot changes its mind
-LASER_EXPLORE_SERVICE = 2.0  # [m] that looking round at a goal counts as
-LASER_EXPLORE_PATIENCE = 40  # [steps] without coming nearer after which a goal is put off
-LASER_EXPLORE_LOOK = 4  # [steps] at a goal that nothing new comes of after which it is put off
-PUT_OFF = 100  # [steps] for which a goal is put off; twice as long every time
-GIVE_UP = 3  # times a goal was put off, then it is given up
-W_ACCURACY = 1 / 3  # weight of known walls around a goal, planners `paper` and `area`
-W_AREA = 1 / 3  # weight of unknown ground around a goal
-LASER_EXPLORE_W_APART = 1 / 3  # weight of the distance from the others
-W_WAY = 0.5  # what 20 m of path cost beside these
-
-LASER_MISSION_TOLERANCE = 0.1  # [m] from a wall up to which a cell of the map shows it: two cells
-NEW_GROUND = 12  # samples on beams in unknown cells from which on a scan showed something new
-BEAM_STRIDE = 4  # every so many beams are sampled for it
-FRONTIER_CHECK_EVERY = 10  # [steps] between looks for frontiers where the planner never says it has finished
-FALSE_DISTANCE = 0.5  # [m] off the truth beyond which a closure counts as joining places that are two
-FALSE_TURN = float(np.radians(8.0))  # [rad] off the truth, the same
+    arrived: float = 0.35  # [m] from a goal at which a robot is there: a cell and a half of the planning grid
+    snap: float = 1.0  # [m] within which a place off the ground counts as its nearest cell
+    progress: float = 0.2  # [m] nearer that counts as progress: a cell of the planning grid
+    seen_share: float = 0.8  # of a goal's unknown cells after which it is done: the rest is noise of the walls
+    spare_way: float = 20.0  # [m] farther than needed that paths to a goal are looked for, so that detours are known
+    patience_factor: int = 10  # times `patience` after which a goal is put off however often it came nearer
+    same: float = 0.8  # [m] between places below which they are one goal: two robots' width
 
 
 @config
 class FollowerConfig:
     """How the next command along a path is chosen."""
 
+    lookahead: float = 2.0  # [m] of path that is looked ahead: three seconds at full speed
     reverse_speed: float = 1 / 3  # of the top speed backwards, to leave a tight spot
+    heading_cost: float = 0.8  # [m/rad] that a wrong heading counts as,
+    heading_near: float = 0.3  # [m] from the place, and less nearer by
     reverse_cost: float = 0.25  # [m] that driving backwards counts as: turning round is better where there is room
+    arc_sample: float = 0.02  # [m] between the samples of an arc: half of `guard`
+    closeness_cost: float = 0.3  # [m] that a metre of clearance below `roomy` counts as
+
+
+@config
+class RightOfWayConfig:
+    """Two robots in one door: who goes first, where the other waits, what a stuck one does."""
+
+    meeting: float = 2.5  # [m] apart beyond which robots do not meet
+    next_way: float = 2.0  # [m] of a robot's path on which another stands in its way
+    clear_way: float = 6.0  # [m] of the other's path that a waiting robot keeps clear of: through a door and on
+    wait_steps: int = 40  # [steps] that a robot waits aside at most
+    beside: float = 0.1  # [m] beyond what two robots need to pass, where a robot waits
+    left_place: float = 0.6  # [m] from where a robot was beyond which it has left that place
+    stuck_steps: int = 30  # [steps] about one place after which a robot tries something else
+    retry_from: float = 1.0  # [m] of path at least to the place it tries again from
+    retry_to: float = 4.0  # [m] of path at most to that place
+    retry_steps: int = 15  # [steps] that getting there may take
+    retry_arrived: float = 0.3  # [m] from that place at which it is reached
+    parted: float = 1.5  # times `meeting` apart beyond which nobody waits for the other any more
+    standing: float = 0.03  # [m] a step, up to which a robot stands still
+    leaving_steps: int = 3  # [steps] of standing still up to which a robot with a goal is about to leave
+
+
+@config
+class AllocationConfig:
+    """Which robot gets which piece of frontier."""
+
+    same_piece: float = 1.5  # [m] from the goal that was made of it within which what is left of a piece lies
+    on_the_way: float = 1.0  # [m], a detour that small is none
+    turn_cost: float = 0.6  # [m/rad] that turning towards a goal counts as: what the robot would drive meanwhile
+    wall_cost: int = 4  # what a metre of path by a wall counts beside one in the open, 1 to 255
+    parked_cost: int = 12  # what a metre of path where a robot stands counts: one goes round it if one can
+    balance: float = 0.3  # what the sum of all tours weighs beside the longest
+    stretch: int = 3  # places of a tour that are moved together to better it, at most
 
 
 @config
@@ -84,12 +80,31 @@ class LaserExploreConfig:
     turn: float = 1.0  # [rad/s], the fastest
     reach: float = 12.0  # [m] of the scanner
     resolution: float = 0.2  # [m], cells of the grid that is planned on: a robot's radius
+    occupied_share: float = 0.2  # of a cell's beams that end in it make it a wall: along a wall's face most go through
     margin: float = 0.1  # [m] beyond the radius that planned paths keep from walls: half a cell
     guard: float = 0.04  # [m] beyond the radius that a driven arc keeps from every point of the present scan
     apart: float = 0.12  # [m] beyond two radii that a driven arc keeps from the path another robot just chose
+    roomy: float = 0.6  # [m] from walls, where a path costs no more than its length
+    sliver: float = 0.15  # [m^2], unknown patches smaller than this are nobody's goal: four cells
+    split: float = 2.5  # [m], longest side of a piece of frontier that makes one goal
     most_goals: int = 40  # considered at once; longer frontiers are cut into larger pieces
+    replan_every: int = 12  # [steps] between plans: six seconds, in which a robot sees a new room
+    replan_soonest: int = 4  # [steps] between plans at least, when a robot has nothing to do
+    keep: float = 2.0  # [m] that another goal must be nearer before a robot changes its mind
+    service: float = 2.0  # [m] that looking round at a goal counts as
+    patience: int = 40  # [steps] without coming nearer after which a goal is put off
+    look: int = 4  # [steps] at a goal that nothing new comes of after which it is put off
+    put_off: int = 100  # [steps] for which a goal is put off; twice as long every time
+    give_up: int = 3  # times a goal was put off, then it is given up
+    w_accuracy: float = 1 / 3  # weight of known walls around a goal, planners `paper` and `area`
+    w_area: float = 1 / 3  # weight of unknown ground around a goal
+    w_apart: float = 1 / 3  # weight of the distance from the others
+    w_way: float = 0.5  # what 20 m of path cost beside these
     max_steps: int = 20000  # [steps] after which a run ends unfinished
+    goals: GoalConfig = GoalConfig()
     follower: FollowerConfig = FollowerConfig()
+    right_of_way: RightOfWayConfig = RightOfWayConfig()
+    allocation: AllocationConfig = AllocationConfig()
 
 
 @config
@@ -102,6 +117,12 @@ class LaserMissionConfig:
     team: LaserTeamConfig = field(default_factory=LaserTeamConfig)
     plan: LaserExploreConfig = field(default_factory=LaserExploreConfig)
     map_resolution: float = 0.05  # [m], of the map that is written and scored
+    tolerance: float = 0.1  # [m] from a wall up to which a cell of the map shows it: two cells
+    new_ground: int = 12  # samples on beams in unknown cells from which on a scan showed something new
+    beam_stride: int = 4  # every so many beams are sampled for it
+    frontier_check_every: int = 10  # [steps] between looks for frontiers where the planner never says it has finished
+    false_distance: float = 0.5  # [m] off the truth beyond which a closure counts as joining places that are two
+    false_turn: float = float(np.radians(8.0))  # [rad] off the truth, the same
 
     def planning(self) -> LaserExploreConfig:
         """The planner's configuration, with the limits and the reach of the robots."""

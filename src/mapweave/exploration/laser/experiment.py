@@ -21,7 +21,7 @@ from ...laser.pose_graph import PoseGraph
 from ...sim.laser_worlds import LEAST
 from ..mission import Mission, RunScore, run_seeds
 from ..planner_interface import find_planner, is_built_in
-from .config import FALSE_DISTANCE, FALSE_TURN, LASER_MISSION_TOLERANCE, OCCUPIED_SHARE, LaserMissionConfig
+from .config import LaserMissionConfig
 from .frontiers import mapped_ground, pockets
 from .mission import LaserRun, LaserStepRecord
 from .scenario import LaserPlace, LaserScenarioConfig, make_place
@@ -55,9 +55,9 @@ def score(
     mission_run: LaserRun, moments: list[LaserStepRecord], merged: Occupancy, run: int, seconds: float
 ) -> LaserScore:
     """A finished run against the truth. merged: the map at the resolution that is scored."""
-    team, world = mission_run.team, mission_run.place.world
+    team, world, cfg = mission_run.team, mission_run.place.world, mission_run.cfg
     cells = merged.centres(np.argwhere(merged.occupied))
-    error, precision, recall = wall_scores(cells, world, mission_run.building, LASER_MISSION_TOLERANCE)
+    error, precision, recall = wall_scores(cells, world, mission_run.building, cfg.tolerance)
     true = true_keyframes(mission_run, moments)
     pose, P = team.graph().pose, team.covariances()
     e = np.column_stack([pose[:, :2] - true[:, :2], se2.wrap_angle(pose[:, 2] - true[:, 2])])
@@ -74,7 +74,7 @@ def score(
         c_per_n=float(np.mean(ellipse)) if ellipse else None,
         nees_per_dof=float(np.mean(nees)) if nees else None,
         duplicates=None,
-        misassociations=sum(is_false(c, true) for c in believed),
+        misassociations=sum(is_false(c, true, cfg) for c in believed),
         missed=None,
         ms_per_decision=1e3 * sum(m.seconds for m in moments) / max(sum(m.decisions for m in moments), 1),
         robots=len(mission_run.robots),
@@ -100,10 +100,10 @@ def true_keyframes(mission_run: LaserRun, moments: list[LaserStepRecord]) -> Flo
     return np.asarray(poses[rows, mission_run.team.owner]).reshape(-1, 3)
 
 
-def is_false(closure: Closure, true: Float[np.ndarray, "n 3"]) -> bool:
+def is_false(closure: Closure, true: Float[np.ndarray, "n 3"], cfg: LaserMissionConfig) -> bool:
     """Whether a closure says two places are one that are not."""
     off = se2.between(closure.measured, se2.between(true[closure.first], true[closure.second]))
-    return bool(np.hypot(off[0], off[1]) > FALSE_DISTANCE or abs(off[2]) > FALSE_TURN)
+    return bool(np.hypot(off[0], off[1]) > cfg.false_distance or abs(off[2]) > cfg.false_turn)
 
 
 def trajectory_rmse(mission_run: LaserRun, moments: list[LaserStepRecord]) -> float | None:
@@ -208,7 +208,7 @@ def explore_laser_once(
     if moments and snapshots[-1].step != mission_run.step:
         snapshots.append(MapSnapshot(mission_run.step, mission_run.grid, moments[-1].poses, moments[-1].explored))
     grid = mission_run.team.grid(mission.cfg.map_resolution)
-    merged = without_gaps(of_grid(grid, OCCUPIED_SHARE))
+    merged = without_gaps(of_grid(grid, mission.cfg.plan.occupied_share))
     run_score = score(mission_run, moments, merged, run, perf_counter() - began)
     M = len(mission_run.robots)
     record = LaserRunRecord(
@@ -273,7 +273,7 @@ def _score_only(mission: LaserMission, seed: int, run: int) -> LaserScore:
     began = perf_counter()
     team, _ = start(mission, seed)
     moments = [replace(m, scans=()) for m in team.play()]  # scans are many and the score needs none
-    merged = without_gaps(of_grid(team.team.grid(mission.cfg.map_resolution), OCCUPIED_SHARE))
+    merged = without_gaps(of_grid(team.team.grid(mission.cfg.map_resolution), mission.cfg.plan.occupied_share))
     return score(team, moments, merged, run, perf_counter() - began)
 
 
@@ -302,4 +302,4 @@ def _pockets(mission_run: LaserRun) -> np.ndarray:
     alive = np.flatnonzero(mission_run.alive)
     poses = mission_run.team.poses()[:, :2]
     ground = mapped_ground(mission_run.grid, poses[alive], np.delete(poses, alive, axis=0), mission_run.plan)
-    return pockets(ground)
+    return pockets(ground, mission_run.plan)

@@ -8,14 +8,7 @@ from scipy import ndimage
 
 from ...laser.occupancy import Occupancy
 from ..ground import Ground, nearest_cells
-from .config import (
-    GOAL_SNAP,
-    LASER_EXPLORE_ROOMY,
-    LASER_EXPLORE_SLIVER,
-    LASER_EXPLORE_SPLIT,
-    WALL_COST,
-    LaserExploreConfig,
-)
+from .config import LaserExploreConfig
 
 EIGHT = np.ones((3, 3), dtype=bool)
 
@@ -52,8 +45,8 @@ def mapped_ground(
     blocked = grid.occupied
     if len(obstacles):
         blocked = blocked | disc_mask(grid, obstacles, cfg.radius)
-    snap = GOAL_SNAP
-    keep, dearest = cfg.radius + cfg.margin, WALL_COST
+    snap = cfg.goals.snap
+    keep, dearest = cfg.radius + cfg.margin, cfg.allocation.wall_cost
     away = ndimage.distance_transform_edt(~blocked) * grid.resolution if blocked.any() else np.full(blocked.shape, 1e3)
     fits = away >= keep - 1e-9
     regions, _ = ndimage.label(fits & grid.free)
@@ -61,7 +54,7 @@ def mapped_ground(
         [regions[tuple(c)] for c in nearest_cells(regions > 0, grid.origin, grid.resolution, places, snap) if c[0] >= 0]
     )
     reach = np.isin(regions, wanted[wanted > 0]) if len(wanted) else np.zeros(fits.shape, dtype=bool)
-    near_wall = np.clip((LASER_EXPLORE_ROOMY - away) / max(LASER_EXPLORE_ROOMY - keep, 1e-6), 0.0, 1.0)
+    near_wall = np.clip((cfg.roomy - away) / max(cfg.roomy - keep, 1e-6), 0.0, 1.0)
     weight = np.where(reach, 1 + np.round((dearest - 1) * near_wall), 0).astype(np.uint8)
     return MappedGround(weight, grid.origin, grid.resolution, snap, grid=grid, fits=fits)
 
@@ -75,7 +68,7 @@ def frontiers(ground: MappedGround, cfg: LaserExploreConfig) -> list[Frontier]:
     unknown = ground.fits & grid.unknown
     patches, count = ndimage.label(unknown, structure=EIGHT)
     if count:
-        big = np.bincount(patches.ravel()) * grid.resolution**2 >= LASER_EXPLORE_SLIVER - 1e-9
+        big = np.bincount(patches.ravel()) * grid.resolution**2 >= cfg.sliver - 1e-9
         big[0] = False
         unknown = big[patches]
     edge = ground.free & ndimage.binary_dilation(unknown, structure=EIGHT)
@@ -83,7 +76,7 @@ def frontiers(ground: MappedGround, cfg: LaserExploreConfig) -> list[Frontier]:
     if len(cells) == 0:
         return []
     parts = ndimage.label(edge, structure=EIGHT)[0][edge]
-    side, middle = LASER_EXPLORE_SPLIT, grid.centres(cells)
+    side, middle = cfg.split, grid.centres(cells)
     while True:
         key = np.column_stack([parts, np.floor(middle / side).astype(np.int64)])
         piece = np.unique(key, axis=0, return_inverse=True)[1].ravel()
@@ -105,14 +98,14 @@ def _piece(grid: Occupancy, unknown: np.ndarray, cells: np.ndarray) -> Frontier:
     return Frontier(place, grid.centres(beside), len(cells))
 
 
-def pockets(ground: MappedGround) -> Float[np.ndarray, "n 2"]:
+def pockets(ground: MappedGround, cfg: LaserExploreConfig) -> Float[np.ndarray, "n 2"]:
     """Middles (n, 2) [m] of patches known to be free, large enough to matter, that no robot gets to."""
     labels, count = ndimage.label(ground.grid.free & ground.fits & ~ground.free)
     if not count:
         return np.zeros((0, 2))
     sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:] * ground.grid.resolution**2
     middles = np.array(ndimage.center_of_mass(labels > 0, labels, np.arange(1, count + 1))).reshape(-1, 2)
-    kept = middles[sizes >= max(1.0, LASER_EXPLORE_SLIVER)]
+    kept = middles[sizes >= max(1.0, cfg.sliver)]
     return np.asarray(ground.grid.origin + (kept[:, ::-1] + 0.5) * ground.grid.resolution)
 
 

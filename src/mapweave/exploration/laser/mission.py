@@ -16,14 +16,7 @@ from ...mapping.laser_team import LaserTeam
 from ...sim.laser import stream
 from ...sim.laser_team import LaserTeamSim
 from ..planner_interface import query_planner
-from .config import (
-    BEAM_STRIDE,
-    FRONTIER_CHECK_EVERY,
-    NEW_GROUND,
-    OCCUPIED_SHARE,
-    LaserExploreConfig,
-    LaserMissionConfig,
-)
+from .config import LaserExploreConfig, LaserMissionConfig
 from .frontiers import frontiers, mapped_ground
 from .planner_state import LaserBelief, LaserPlanner
 from .scenario import LaserPlace
@@ -137,7 +130,7 @@ class LaserRun:
             return False
         if "finished" in self.memory:
             return bool(self.memory["finished"])
-        if self.step % FRONTIER_CHECK_EVERY:
+        if self.step % self.cfg.frontier_check_every:
             return False
         poses = self.team.poses()[:, :2]
         return not frontiers(mapped_ground(self.grid, poses[self.alive], poses[~self.alive], self.plan), self.plan)
@@ -174,7 +167,7 @@ class LaserRun:
             scans.append(scan)
         middle = perf_counter()
         self.team.optimise()
-        self.grid = of_grid(self.team.grid(self.plan.resolution), OCCUPIED_SHARE)
+        self.grid = of_grid(self.team.grid(self.plan.resolution), self.plan.occupied_share)
         self.timing["look"] += middle - before
         self.timing["map"] += perf_counter() - middle
         return tuple(scans)
@@ -182,13 +175,13 @@ class LaserRun:
     def _shows_new(self, scan: Scan, pose: Float[np.ndarray, "3"]) -> bool:
         """Whether the scan's beams pass cells that the map did not know before it."""
         grid = self.grid
-        angle = (scan.angles() + pose[2])[::BEAM_STRIDE]
-        r = np.minimum(scan.ranges[::BEAM_STRIDE], self.plan.reach)
+        angle = (scan.angles() + pose[2])[:: self.cfg.beam_stride]
+        r = np.minimum(scan.ranges[:: self.cfg.beam_stride], self.plan.reach)
         along = np.arange(0.5, self.plan.reach / grid.resolution) * grid.resolution
         kept = along[None] < r[:, None] - grid.resolution
         points = pose[:2] + along[None, :, None] * np.column_stack([np.cos(angle), np.sin(angle)])[:, None]
         known = known_at(points[kept], grid.state != -1, grid.origin, grid.resolution)
-        return int((~known).sum()) >= NEW_GROUND
+        return int((~known).sum()) >= self.cfg.new_ground
 
     def _moment(
         self, commands: np.ndarray, scans: tuple[Scan | None, ...], seconds: float, decisions: int

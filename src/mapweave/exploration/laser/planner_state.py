@@ -10,7 +10,7 @@ from ...kernels.walls.segments import sight_on_raster
 from ...laser.occupancy import Occupancy
 from ..ground import CostToGo, Ground
 from ..planner_interface import TeamBelief
-from .config import GIVE_UP, GOAL_SAME, LEFT_PLACE, PARKED_COST, PUT_OFF, RIGHT_OF_WAY_STANDING, LaserExploreConfig
+from .config import LaserExploreConfig
 from .frontiers import MappedGround, disc_mask
 
 
@@ -87,24 +87,24 @@ class PlannerState:
     last: np.ndarray | None = None  # poses a step ago
     home: np.ndarray | None = None
 
-    def given_up(self) -> Float[np.ndarray, "n 2"]:
+    def given_up(self, cfg: LaserExploreConfig) -> Float[np.ndarray, "n 2"]:
         """Places that nobody tries to reach any more."""
-        return np.array([p for p, _, times in self.put_off if times >= GIVE_UP]).reshape(-1, 2)
+        return np.array([p for p, _, times in self.put_off if times >= cfg.give_up]).reshape(-1, 2)
 
-    def barred(self, place: np.ndarray, step: int, *, waiting: bool = True) -> bool:
+    def barred(self, place: np.ndarray, step: int, cfg: LaserExploreConfig, *, waiting: bool = True) -> bool:
         """Whether `place` was given up, or (`waiting`) was put off until later than `step`."""
         return any(
-            np.hypot(*(place - p)) < GOAL_SAME and (times >= GIVE_UP or (waiting and step < until))
+            np.hypot(*(place - p)) < cfg.goals.same and (times >= cfg.give_up or (waiting and step < until))
             for p, until, times in self.put_off
         )
 
-    def defer(self, place: np.ndarray, step: int) -> None:
+    def defer(self, place: np.ndarray, step: int, cfg: LaserExploreConfig) -> None:
         """`place` is not tried for a while, longer every time."""
         for k, (p, _, times) in enumerate(self.put_off):
-            if np.hypot(*(place - p)) < GOAL_SAME:
-                self.put_off[k] = (p, step + PUT_OFF * 2**times, times + 1)
+            if np.hypot(*(place - p)) < cfg.goals.same:
+                self.put_off[k] = (p, step + cfg.put_off * 2**times, times + 1)
                 return
-        self.put_off.append((place.copy(), step + PUT_OFF, 1))
+        self.put_off.append((place.copy(), step + cfg.put_off, 1))
 
 
 @dataclass(slots=True)
@@ -117,7 +117,7 @@ class YieldPlace:
     until: int
 
 
-def planner_state_of(belief: LaserBelief, poses: np.ndarray) -> PlannerState:
+def planner_state_of(belief: LaserBelief, poses: np.ndarray, cfg: LaserExploreConfig) -> PlannerState:
     """The state in the planner's memory, made at the first call, brought up to date with `poses` (M, 3)."""
     state: PlannerState = belief.memory.setdefault("planner_state", PlannerState())
     M = len(poses)
@@ -127,9 +127,9 @@ def planner_state_of(belief: LaserBelief, poses: np.ndarray) -> PlannerState:
         state.still = np.zeros(M, dtype=np.int64)
         state.about = np.column_stack([poses[:, :2], np.full(M, belief.step)])
     else:
-        moving = np.hypot(*(poses[:, :2] - state.last[:, :2]).T) > RIGHT_OF_WAY_STANDING
+        moving = np.hypot(*(poses[:, :2] - state.last[:, :2]).T) > cfg.right_of_way.standing
         state.still = np.where(moving, 0, state.still + 1)
-        left = np.hypot(*(poses[:, :2] - state.about[:, :2]).T) > LEFT_PLACE
+        left = np.hypot(*(poses[:, :2] - state.about[:, :2]).T) > cfg.right_of_way.left_place
         state.about[left] = np.column_stack([poses[left, :2], np.full(int(left.sum()), belief.step)])
     state.last = poses.copy()
     return state
@@ -140,7 +140,7 @@ def with_parked(ground: MappedGround, parked: np.ndarray, cfg: LaserExploreConfi
     if not len(parked):
         return ground
     taken = disc_mask(ground.grid, parked, 2 * cfg.radius + cfg.apart) & ground.free
-    weight = np.where(taken, np.uint8(PARKED_COST), ground.weight)
+    weight = np.where(taken, np.uint8(cfg.allocation.parked_cost), ground.weight)
     return Ground(np.ascontiguousarray(weight), ground.lower, ground.cell, ground.snap)
 
 
@@ -151,4 +151,4 @@ def route_to(
     priced = with_parked(ground, parked, cfg)
     source = priced.cells(place[None])
     ways = priced.cost_to_go(source[source[:, 0] >= 0], far)
-    return ClearCostToGo(priced, ways.cost, clear=priced.free & (priced.weight < PARKED_COST))
+    return ClearCostToGo(priced, ways.cost, clear=priced.free & (priced.weight < cfg.allocation.parked_cost))

@@ -16,43 +16,7 @@ from ...kernels.exploration.tour_moves import improve_tours
 from ...kernels.exploration.tours import balanced_tours
 from ...kernels.exploration.wavefront import NO_LIMIT, STRAIGHT, spread
 from ..ground import FAR, Ground
-from .config import (
-    ALLOCATION_BALANCE,
-    ALLOCATION_STRETCH,
-    ALLOCATION_TURN_COST,
-    CLEAR_WAY,
-    GOAL_ARRIVED,
-    GOAL_PROGRESS,
-    GOAL_SAME,
-    LASER_EXPLORE_KEEP,
-    LASER_EXPLORE_LOOK,
-    LASER_EXPLORE_PATIENCE,
-    LASER_EXPLORE_REPLAN_EVERY,
-    LASER_EXPLORE_ROOMY,
-    LASER_EXPLORE_SERVICE,
-    LASER_EXPLORE_W_APART,
-    LEAVING_STEPS,
-    NEXT_WAY,
-    ON_THE_WAY,
-    PATIENCE_FACTOR,
-    REPLAN_SOONEST,
-    RETRY_ARRIVED,
-    RETRY_FROM,
-    RETRY_STEPS,
-    RETRY_TO,
-    RIGHT_OF_WAY_BESIDE,
-    RIGHT_OF_WAY_MEETING,
-    RIGHT_OF_WAY_PARTED,
-    SAME_PIECE,
-    SEEN_SHARE,
-    SPARE_WAY,
-    STUCK_STEPS,
-    W_ACCURACY,
-    W_AREA,
-    W_WAY,
-    WAIT_STEPS,
-    LaserExploreConfig,
-)
+from .config import LaserExploreConfig
 from .frontiers import Frontier, MappedGround, disc_mask, frontiers, mapped_ground, pockets
 from .planner_state import (
     ClearCostToGo,
@@ -64,12 +28,6 @@ from .planner_state import (
     route_to,
     with_parked,
 )
-
-FOLLOWER_LOOKAHEAD = 2.0  # [m] of path that is looked ahead: three seconds at full speed
-HEADING_COST = 0.8  # [m/rad] that a wrong heading counts as,
-HEADING_NEAR = 0.3  # [m] from the place, and less nearer by
-ARC_SAMPLE = 0.02  # [m] between the samples of an arc: half of `guard`
-CLOSENESS_COST = 0.3  # [m] that a metre of clearance below `roomy` counts as
 
 
 @cache
@@ -92,8 +50,8 @@ def collision_free(
     near each comes (m,).
     """
     stride = cfg.speed * cfg.period
-    near = points[np.hypot(*points.T) < least + stride + LASER_EXPLORE_ROOMY]
-    clearance = arc_clearance(commands, cfg.period, np.ascontiguousarray(near), ARC_SAMPLE)
+    near = points[np.hypot(*points.T) < least + stride + cfg.roomy]
+    clearance = arc_clearance(commands, cfg.period, np.ascontiguousarray(near), cfg.follower.arc_sample)
     still = np.hypot(*near.T).min() if len(near) else np.inf
     return clearance >= min(least, still) - 1e-9, clearance
 
@@ -120,10 +78,12 @@ def steer(
     d = goal - ends[:, :2]
     distance = np.hypot(d[:, 0], d[:, 1])
     error = np.abs(wrap_angle(np.arctan2(d[:, 1], d[:, 0]) - ends[:, 2]))
-    error = error * np.minimum(1.0, distance / HEADING_NEAR)
-    tight = np.clip(LASER_EXPLORE_ROOMY - clearance, 0.0, LASER_EXPLORE_ROOMY)
+    error = error * np.minimum(1.0, distance / cfg.follower.heading_near)
+    tight = np.clip(cfg.roomy - clearance, 0.0, cfg.roomy)
     backwards = cfg.follower.reverse_cost * (commands[:, 0] < 0.0)
-    cost = np.where(free, distance + HEADING_COST * error + CLOSENESS_COST * tight + backwards, np.inf)
+    cost = np.where(
+        free, distance + cfg.follower.heading_cost * error + cfg.follower.closeness_cost * tight + backwards, np.inf
+    )
     return np.asarray(commands[np.argmin(cost)])
 
 
@@ -153,16 +113,18 @@ def resolve_conflicts(
     """Whoever stands in the way of a robot that goes first gets a place aside; who has waited long enough goes on."""
     _end_waiting(state, poses, live, step, cfg)
     _get_unstuck(state, poses, live, step, cfg)
-    ranked = priority_order(state, live)
+    ranked, rules = priority_order(state, live), cfg.right_of_way
     near = 2 * cfg.radius + cfg.apart
     for a, i in enumerate(ranked):
         for k in ranked[a + 1 :]:
-            if k in state.yielding or np.hypot(*(poses[i, :2] - poses[k, :2])) > RIGHT_OF_WAY_MEETING:
+            if k in state.yielding or np.hypot(*(poses[i, :2] - poses[k, :2])) > rules.meeting:
                 continue
-            if not _in_way(state, poses, i, k, near, NEXT_WAY):
+            if not _in_way(state, poses, i, k, near, rules.next_way):
                 continue
             leaving = (
-                k in state.goals and state.still[k] < LEAVING_STEPS and not _in_way(state, poses, k, i, near, NEXT_WAY)
+                k in state.goals
+                and state.still[k] < rules.leaving_steps
+                and not _in_way(state, poses, k, i, near, rules.next_way)
             )
             if not leaving and not _yield_to(state, poses, k, i, step, cfg) and i not in state.yielding:
                 state.priority[i], state.priority[k] = state.priority[k], state.priority[i]
@@ -181,7 +143,7 @@ def _yield_to(state: PlannerState, poses: np.ndarray, k: int, i: int, step: int,
     ground, route = state.ground, current_route(state, i)
     if ground is None or route is None:
         return False
-    way = np.vstack([poses[i : i + 1, :2], route.along(poses[i, :2], CLEAR_WAY)])
+    way = np.vstack([poses[i : i + 1, :2], route.along(poses[i, :2], cfg.right_of_way.clear_way)])
     near = 2 * cfg.radius + cfg.apart
     others = np.array([p[:2] for j, p in enumerate(poses) if j not in (i, k)]).reshape(-1, 2)
     weight = ground.weight.copy()
@@ -190,37 +152,41 @@ def _yield_to(state: PlannerState, poses: np.ndarray, k: int, i: int, step: int,
         weight[disc_mask(ground.grid, others, near)] = 0
     left = Ground(weight, ground.lower, ground.cell, ground.snap)
     cost = left.cost_to_go(left.cells(poses[k : k + 1, :2])).cost
-    cost[disc_mask(ground.grid, way, near + RIGHT_OF_WAY_BESIDE)] = -1
+    cost[disc_mask(ground.grid, way, near + cfg.right_of_way.beside)] = -1
     cells = np.argwhere(cost >= 0)
     if len(cells) == 0:
         return False
     best = cells[np.argmin(cost[tuple(cells.T)])]
     place = ground.grid.centres(best[None])[0]
-    state.yielding[k] = YieldPlace(place, route_to(ground, place, poses[i : i + 1, :2], cfg), i, step + WAIT_STEPS)
+    state.yielding[k] = YieldPlace(
+        place, route_to(ground, place, poses[i : i + 1, :2], cfg), i, step + cfg.right_of_way.wait_steps
+    )
     return True
 
 
 def _end_waiting(state: PlannerState, poses: np.ndarray, live: np.ndarray, step: int, cfg: LaserExploreConfig) -> None:
-    near = 2 * cfg.radius + cfg.apart
+    near, rules = 2 * cfg.radius + cfg.apart, cfg.right_of_way
     for k, waiting in list(state.yielding.items()):
         i = waiting.whom
         if i == k:
-            if step >= waiting.until or np.hypot(*(waiting.place - poses[k, :2])) < RETRY_ARRIVED:
+            if step >= waiting.until or np.hypot(*(waiting.place - poses[k, :2])) < rules.retry_arrived:
                 del state.yielding[k]
             continue
-        gone = i not in live or np.hypot(*(poses[i, :2] - poses[k, :2])) > RIGHT_OF_WAY_PARTED * RIGHT_OF_WAY_MEETING
-        passed = not _in_way(state, poses, i, k, near, CLEAR_WAY) and not _goal_blocked(state, poses, k, i, near)
+        gone = i not in live or np.hypot(*(poses[i, :2] - poses[k, :2])) > rules.parted * rules.meeting
+        passed = not _in_way(state, poses, i, k, near, rules.clear_way) and not _goal_blocked(
+            state, poses, k, i, near, cfg
+        )
         if gone or passed or step >= waiting.until:
             del state.yielding[k]
             if not gone and not passed and state.priority[k] > state.priority[i]:
                 state.priority[i], state.priority[k] = state.priority[k], state.priority[i]
 
 
-def _goal_blocked(state: PlannerState, poses: np.ndarray, k: int, i: int, near: float) -> bool:
+def _goal_blocked(state: PlannerState, poses: np.ndarray, k: int, i: int, near: float, cfg: LaserExploreConfig) -> bool:
     """Whether robot i stands on the next part of robot k's path to its goal."""
     if k not in state.goals:
         return False
-    way = state.goals[k].route.along(poses[k, :2], NEXT_WAY)
+    way = state.goals[k].route.along(poses[k, :2], cfg.right_of_way.next_way)
     return len(way) > 0 and float(np.hypot(*(way - poses[i, :2]).T).min()) < near
 
 
@@ -229,19 +195,26 @@ def _get_unstuck(state: PlannerState, poses: np.ndarray, live: np.ndarray, step:
 
     The lots are the same in the same run.
     """
-    ground = state.ground
+    ground, rules = state.ground, cfg.right_of_way
     for j in map(int, live):
-        if ground is None or j not in state.goals or j in state.yielding or step - state.about[j, 2] < STUCK_STEPS:
+        if (
+            ground is None
+            or j not in state.goals
+            or j in state.yielding
+            or step - state.about[j, 2] < rules.stuck_steps
+        ):
             continue
         rng = np.random.default_rng([step, j])
         state.about[j, 2] = step
         state.priority = rng.permutation(len(state.priority)).astype(float)
         metres = ground.cost_to_go(ground.cells(poses[j : j + 1, :2])).metres
-        around = (metres > RETRY_FROM) & (metres < RETRY_TO)
+        around = (metres > rules.retry_from) & (metres < rules.retry_to)
         cells = np.argwhere(around & (ground.weight == ground.weight[around].min(initial=255)))
         if len(cells):
             place = ground.grid.centres(rng.choice(cells)[None])[0]
-            state.yielding[j] = YieldPlace(place, route_to(ground, place, np.zeros((0, 2)), cfg), j, step + RETRY_STEPS)
+            state.yielding[j] = YieldPlace(
+                place, route_to(ground, place, np.zeros((0, 2)), cfg), j, step + rules.retry_steps
+            )
 
 
 RING = np.array([(y, x) for y in range(-2, 3) for x in range(-2, 3) if max(abs(y), abs(x)) == 2])
@@ -287,10 +260,10 @@ def allocation_problem(
     for r, j in enumerate(live):
         away = departures(costs, cells[r])
         first[r] += np.where(
-            np.isfinite(away), ALLOCATION_TURN_COST * np.abs(wrap_angle(np.nan_to_num(away) - poses[j, 2])), 0.0
+            np.isfinite(away), cfg.allocation.turn_cost * np.abs(wrap_angle(np.nan_to_num(away) - poses[j, 2])), 0.0
         )
     return AllocationProblem(
-        pieces, tuple(map(int, live)), first, metres[m:], poses[live], ground, _held(state, pieces)
+        pieces, tuple(map(int, live)), first, metres[m:], poses[live], ground, _held(state, pieces, cfg)
     )
 
 
@@ -323,17 +296,17 @@ def departures(costs: list[np.ndarray], cell: np.ndarray) -> Float[np.ndarray, "
     return np.where((here > 0) & (around[np.arange(len(costs)), best] < here), angle, np.nan)
 
 
-def _held(state: PlannerState, pieces: list[Frontier]) -> dict[int, int]:
+def _held(state: PlannerState, pieces: list[Frontier], cfg: LaserExploreConfig) -> dict[int, int]:
     """Robot -> what is left of the piece it heads for: the one with unknown cells nearest to its goal."""
     out: dict[int, int] = {}
     for j, goal in state.goals.items():
         away = [np.hypot(*(f.unknown - goal.place).T).min() for f in pieces]
-        if not goal.done and away and min(away) < SAME_PIECE:
+        if not goal.done and away and min(away) < cfg.allocation.same_piece:
             out[j] = int(np.argmin(away))
     return out
 
 
-def keep_commitments(problem: AllocationProblem, chosen: dict[int, int]) -> dict[int, int]:
+def keep_commitments(problem: AllocationProblem, chosen: dict[int, int], cfg: LaserExploreConfig) -> dict[int, int]:
     """`chosen`, but who is on the way to a piece goes on, unless another robot does it, or the new one is nearer by
     `keep` or lies on the way. Since every change of mind brings a goal nearer there is no driving to and fro.
     """
@@ -349,7 +322,7 @@ def keep_commitments(problem: AllocationProblem, chosen: dict[int, int]) -> dict
             continue
         if n is not None:
             to = problem.first[row[j], n]
-            if to < far - LASER_EXPLORE_KEEP or to + problem.between[n, h] < far + ON_THE_WAY:
+            if to < far - cfg.keep or to + problem.between[n, h] < far + cfg.allocation.on_the_way:
                 continue
         out[j] = h
         if who is not None and n is not None:
@@ -359,11 +332,11 @@ def keep_commitments(problem: AllocationProblem, chosen: dict[int, int]) -> dict
     return out
 
 
-def by_tours(problem: AllocationProblem, cfg: LaserExploreConfig) -> dict[int, int]:  # noqa: ARG001  (as the others)
+def by_tours(problem: AllocationProblem, cfg: LaserExploreConfig) -> dict[int, int]:
     """Robot -> piece: the first of its tour, the tours short in the longest and then in the sum."""
-    first, between = (np.ascontiguousarray(cost + LASER_EXPLORE_SERVICE) for cost in (problem.first, problem.between))
-    tours, counts = balanced_tours(first, between, np.zeros_like(first), ALLOCATION_BALANCE)
-    improve_tours(first, between, tours, counts, ALLOCATION_STRETCH)
+    first, between = (np.ascontiguousarray(cost + cfg.service) for cost in (problem.first, problem.between))
+    tours, counts = balanced_tours(first, between, np.zeros_like(first), cfg.allocation.balance)
+    improve_tours(first, between, tours, counts, cfg.allocation.stretch)
     chosen = {j: int(tours[r, 0]) for r, j in enumerate(problem.robots) if counts[r]}
     return {j: n for j, n in chosen.items() if problem.first[problem.robots.index(j), n] < FAR / 2}
 
@@ -388,13 +361,16 @@ def by_objective(w_accuracy: float) -> Allocator:
         out: dict[int, int] = {}
         taken: list[np.ndarray] = []
         for r, j in enumerate(problem.robots):
-            J = w_accuracy * walls + W_AREA * area - W_WAY * problem.first[r] / 20.0
+            J = w_accuracy * walls + cfg.w_area * area - cfg.w_way * problem.first[r] / 20.0
             others = [*taken, *problem.poses[r + 1 :, :2]]
             if others:
                 d = np.array([[np.hypot(*(f.place - o)) for o in others] for f in problem.pieces])
-                J = J + LASER_EXPLORE_W_APART * np.minimum(d / (2 * cfg.reach), 1.0).mean(axis=1)
+                J = J + cfg.w_apart * np.minimum(d / (2 * cfg.reach), 1.0).mean(axis=1)
                 J = J - np.array(
-                    [1.0 if any(np.hypot(*(f.place - o)) < GOAL_SAME for o in taken) else 0.0 for f in problem.pieces]
+                    [
+                        1.0 if any(np.hypot(*(f.place - o)) < cfg.goals.same for o in taken) else 0.0
+                        for f in problem.pieces
+                    ]
                 )
             J = np.where(problem.first[r] < FAR / 2, J, -np.inf)
             if len(J) and np.isfinite(J.max()):
@@ -431,10 +407,10 @@ def drive(
     Sets memory["finished"] when no frontier is left that a robot can get to (and, with `go_home`, all are back);
     memory["goals"]: {robot: place}; memory["given_up"], memory["pockets"]: (n, 2) places [m].
     """
-    state = planner_state_of(belief, poses)
+    state = planner_state_of(belief, poses, cfg)
     live = np.flatnonzero(belief.alive)
-    _tidy(state, belief, poses, live)
-    if _due(state, belief.step, live):
+    _tidy(state, belief, poses, live, cfg)
+    if _due(state, belief.step, live, cfg):
         _plan(state, belief, poses, live, cfg, allocate, go_home=go_home)
     resolve_conflicts(state, poses, live, belief.step, cfg)
     belief.memory["goals"] = {j: goal.place for j, goal in state.goals.items()}
@@ -442,7 +418,7 @@ def drive(
     will_be = {int(j): poses[j : j + 1, :2] for j in live}
     for j in priority_order(state, live):
         route = current_route(state, j)
-        target = None if route is None else route.target(poses[j, :2], FOLLOWER_LOOKAHEAD)
+        target = None if route is None else route.target(poses[j, :2], cfg.follower.lookahead)
         if target is not None and np.hypot(*(target - poses[j, :2])) < 0.5 * cfg.resolution:
             target = None
         others = np.concatenate([np.zeros((0, 2)), *(p for k, p in will_be.items() if k != j)])
@@ -451,39 +427,41 @@ def drive(
     return out
 
 
-def _tidy(state: PlannerState, belief: LaserBelief, poses: np.ndarray, live: np.ndarray) -> None:
+def _tidy(
+    state: PlannerState, belief: LaserBelief, poses: np.ndarray, live: np.ndarray, cfg: LaserExploreConfig
+) -> None:
     """Goals that are seen are done; those reached for nothing or out of reach for long are put off."""
     state.yielding = {j: place for j, place in state.yielding.items() if j in live}
     state.goals = {j: goal for j, goal in state.goals.items() if j in live}
     for j, goal in list(state.goals.items()):
         left = float(goal.route.metres_from(poses[j : j + 1, :2])[0])
-        if left < goal.least - GOAL_PROGRESS:
+        if left < goal.least - cfg.goals.progress:
             goal.least, goal.since = left, belief.step
         elif j in state.yielding:
             goal.since += 1
-        if left < GOAL_ARRIVED and goal.at is None:
+        if left < cfg.goals.arrived and goal.at is None:
             goal.at = belief.step
         if (
             len(goal.unknown)
-            and (belief.grid.state[tuple(belief.grid.cells(goal.unknown).T)] >= 0).mean() >= SEEN_SHARE
+            and (belief.grid.state[tuple(belief.grid.cells(goal.unknown).T)] >= 0).mean() >= cfg.goals.seen_share
         ):
             goal.done = True
-        elif _in_vain(goal, belief.step):
-            state.defer(goal.place, belief.step)
+        elif _in_vain(goal, belief.step, cfg):
+            state.defer(goal.place, belief.step, cfg)
             del state.goals[j]
 
 
-def _in_vain(goal: Goal, step: int) -> bool:
+def _in_vain(goal: Goal, step: int, cfg: LaserExploreConfig) -> bool:
     """Whether nothing new comes of standing at the goal, or the robot does not get there."""
     if goal.at is not None:
-        return len(goal.unknown) > 0 and step - goal.at >= LASER_EXPLORE_LOOK
-    return step - goal.since > LASER_EXPLORE_PATIENCE or step - goal.born > PATIENCE_FACTOR * LASER_EXPLORE_PATIENCE
+        return len(goal.unknown) > 0 and step - goal.at >= cfg.look
+    return step - goal.since > cfg.patience or step - goal.born > cfg.goals.patience_factor * cfg.patience
 
 
-def _due(state: PlannerState, step: int, live: np.ndarray) -> bool:
+def _due(state: PlannerState, step: int, live: np.ndarray, cfg: LaserExploreConfig) -> bool:
     age = step - state.planned
     idle = any(j not in state.goals or state.goals[j].done for j in live)
-    return state.planned_for != tuple(live) or age >= LASER_EXPLORE_REPLAN_EVERY or (idle and age >= REPLAN_SOONEST)
+    return state.planned_for != tuple(live) or age >= cfg.replan_every or (idle and age >= cfg.replan_soonest)
 
 
 def _plan(
@@ -500,21 +478,21 @@ def _plan(
     dead = poses[~belief.alive, :2]
     ground = mapped_ground(belief.grid, poses[live, :2], dead, cfg)
     state.ground, state.planned, state.planned_for = ground, belief.step, tuple(live)
-    open_pieces = [f for f in frontiers(ground, cfg) if not state.barred(f.place, belief.step, waiting=False)]
-    pieces = [f for f in open_pieces if not state.barred(f.place, belief.step)] or open_pieces
-    belief.memory["given_up"] = state.given_up()
-    belief.memory["pockets"] = pockets(ground)
+    open_pieces = [f for f in frontiers(ground, cfg) if not state.barred(f.place, belief.step, cfg, waiting=False)]
+    pieces = [f for f in open_pieces if not state.barred(f.place, belief.step, cfg)] or open_pieces
+    belief.memory["given_up"] = state.given_up(cfg)
+    belief.memory["pockets"] = pockets(ground, cfg)
     old = state.goals
     if pieces:
         problem = allocation_problem(ground, pieces, state, poses, live, cfg)
-        shared = keep_commitments(problem, allocate(problem, cfg))
+        shared = keep_commitments(problem, allocate(problem, cfg), cfg)
         stand = parked(state, poses, live)
         state.goals = {}
         for j, n in shared.items():
-            far = SPARE_WAY + 2.0 * float(problem.first[problem.robots.index(j), n])
+            far = cfg.goals.spare_way + 2.0 * float(problem.first[problem.robots.index(j), n])
             route = route_to(ground, pieces[n].place, stand, cfg, far)
             state.goals[j] = _goal(
-                old.get(j), Goal(pieces[n].place, pieces[n].unknown, route, belief.step, belief.step)
+                old.get(j), Goal(pieces[n].place, pieces[n].unknown, route, belief.step, belief.step), cfg
             )
     else:
         state.goals = {}
@@ -523,9 +501,9 @@ def _plan(
     belief.memory["finished"] = not pieces and not state.goals
 
 
-def _goal(old: Goal | None, new: Goal) -> Goal:
+def _goal(old: Goal | None, new: Goal, cfg: LaserExploreConfig) -> Goal:
     """The new goal, with the old one's patience where it is the same place."""
-    if old is not None and not old.done and np.hypot(*(old.place - new.place)) < GOAL_SAME:
+    if old is not None and not old.done and np.hypot(*(old.place - new.place)) < cfg.goals.same:
         return replace(new, since=old.since, born=old.born, least=old.least, at=old.at)
     return new
 
@@ -537,10 +515,10 @@ def _send_home(
     if state.home is None or state.ground is None:
         return
     for j in map(int, live):
-        away = np.hypot(*(poses[j, :2] - state.home[j])) > 2 * GOAL_ARRIVED
-        if away and not state.barred(state.home[j], step, waiting=False):
+        away = np.hypot(*(poses[j, :2] - state.home[j])) > 2 * cfg.goals.arrived
+        if away and not state.barred(state.home[j], step, cfg, waiting=False):
             route = route_to(state.ground, state.home[j], np.zeros((0, 2)), cfg)
-            state.goals[j] = _goal(old.get(j), Goal(state.home[j], np.zeros((0, 2)), route, step, step))
+            state.goals[j] = _goal(old.get(j), Goal(state.home[j], np.zeros((0, 2)), route, step, step), cfg)
 
 
 def coverage(belief: LaserBelief, poses: Float[np.ndarray, "r 3"], cfg: LaserExploreConfig) -> Float[np.ndarray, "r 2"]:
@@ -555,7 +533,7 @@ def nearest(belief: LaserBelief, poses: Float[np.ndarray, "r 3"], cfg: LaserExpl
 
 def paper(belief: LaserBelief, poses: Float[np.ndarray, "r 3"], cfg: LaserExploreConfig) -> Float[np.ndarray, "r 2"]:
     """Every robot heads for the frontier of largest J: walls to hold on to, new area, distance from the others."""
-    return drive(belief, poses, cfg, by_objective(W_ACCURACY))
+    return drive(belief, poses, cfg, by_objective(cfg.w_accuracy))
 
 
 def area(belief: LaserBelief, poses: Float[np.ndarray, "r 3"], cfg: LaserExploreConfig) -> Float[np.ndarray, "r 2"]:
