@@ -48,6 +48,7 @@ from mapweave.live.store import Store
 from mapweave.live.tiles import SIDE
 from mapweave.live.topics import Topics
 from mapweave.live.transport import Network, put, session
+from mapweave.mapping.merge_search import MergeConfig
 from mapweave.sim.landmarks import TeamWorld, simulate_team
 from mapweave.sim.laser import drive
 from mapweave.sim.laser_worlds import OfficeConfig, office_route, office_world
@@ -286,7 +287,7 @@ def mapping(folder: Path) -> None:
     with Store(folder / "map.sqlite", "a map of team") as store, session(network, at.append) as opened:
         inbox = Timed(store)
         process = TimedMap("map", opened, Topics("team"), store, inbox, lambda _: None)
-        process.starts = lambda names: starts_among(names, dict.fromkeys(names, (0.0, 0.0, 0.0)))
+        process.starts = lambda names: starts_among(names, dict.fromkeys(names, (0.0, 0.0, 0.0)), MergeConfig())
         process.join()
         before = time.process_time()
         (folder / "coming").write_text(at[0])

@@ -29,6 +29,7 @@ from mapweave.live import laser_weaver
 from mapweave.live.laser_weaver import LaserWeaver
 from mapweave.live.store import Store
 from mapweave.mapping.config import LaserConfig
+from mapweave.mapping.merge_search import MergeConfig
 
 WRONG = 0.5  # [m] that a closure of two robots is off the truth
 
@@ -238,7 +239,7 @@ def driven(given: argparse.Namespace, profile: cProfile.Profile | None = None) -
     laser_weaver.time = clock
 
     def starts(names):
-        return {} if given.apart else starts_among(names, dict.fromkeys(names, (0.0, 0.0, 0.0)))
+        return {} if given.apart else starts_among(names, dict.fromkeys(names, (0.0, 0.0, 0.0)), MergeConfig())
 
     with tempfile.TemporaryDirectory() as folder, Store(Path(folder, "s"), "a map") as store:
         weaver = Clocked(store, LaserConfig(), starts, clock, coming, payloads)

@@ -122,6 +122,13 @@ def test_a_robot_that_is_left_out_is_no_landmark(team):
     assert done.metrics["robots"]["3"]["dropped"]["sighting of a robot left out"] > 10
 
 
+def test_between_which_scales_wheels_are_used_is_asked_by_the_settings(made, team):
+    result, _ = made
+    narrow = mapweave.map(team, config={"agreement": {"turn_scale": [0.1, 0.5]}})
+    usual, told = ({(f.code, f.robot) for f in r.findings if f.robot in {"2", "3"}} for r in (result, narrow))
+    assert ("turns-unlike", "2") in told - usual
+
+
 def test_what_cannot_be_is_refused_with_the_reason(team, tmp_path):
     wrong = tmp_path / "calibration.json"
     wrong.write_text('{"9": {"lag": {"value": 0.1}}}', encoding="utf-8")

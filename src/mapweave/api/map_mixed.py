@@ -148,7 +148,7 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
     read = [log.share(options.share.get(robot_key(log.robot), 1.0)) for log in read]
     read = [on_camera_clock(log) for log in with_copies_marked(read)]
     stamps = {log.robot: log.stamps for log in read}
-    read = [without_impossible(with_wheels_checked(log, cfg.ekf), cfg.ekf) for log in read]
+    read = [without_impossible(with_wheels_checked(log, cfg.ekf, cfg.agreement), cfg.ekf) for log in read]
     read = [sifted(log, cfg.ekf) for log in read]
     seeing = [x for x in read if x.robot not in apart and any(not n.startswith("robot") for n in x.sightings.counts())]
     cut = _cut(seeing, *_filtered(seeing, cfg, options), cfg, options.seed)
