@@ -16,7 +16,7 @@ from ..core.version import __version__
 from ..core.workers import Progress, no_progress, one_blas_thread
 from ..io.directory import check_target, result_directory, write_json
 from ..laser.laser_map import GridMap
-from ..mapping.changes import Change, Changes, changes_between
+from ..mapping.changes import Change, Changes, cells_at, changes_between
 from ..mapping.map_overlap import KeyframeMap
 from ..mapping.merge import merge_maps
 from ..mapping.merge_search import MergeConfig, Start
@@ -112,10 +112,9 @@ class Comparison(ResultBase):
 
     def _layer(self, at: Float[np.ndarray, "n 2"]) -> GridMap:
         """A map of these places alone: walls there, free floor wherever the map before knows anything."""
-        col, row = np.floor((at - self.grid.origin) / self.grid.resolution).astype(int).T
-        inside = (row >= 0) & (col >= 0) & (row < self.grid.shape[0]) & (col < self.grid.shape[1])
+        cell, inside = cells_at(self.grid, at)
         wall: Bool[np.ndarray, "rows cols"] = np.zeros(self.grid.shape, dtype=bool)
-        wall[row[inside], col[inside]] = True
+        wall[tuple(cell[inside].T)] = True
         known = (self.grid.hits > 0) | (self.grid.passes > 0)
         many = 9  # beams: enough for either
         none = np.zeros(self.grid.shape)

@@ -93,7 +93,7 @@ def _any_walls(grid: GridMap) -> Float[np.ndarray, "n 2"]:
     return np.concatenate([grid.mean[rows, cols].astype(float), np.full((1, 2), 1e9)])
 
 
-def _cells(grid: GridMap, at: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
+def cells_at(grid: GridMap, at: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
     """Row and column of each place, and whether it lies on the grid; others are at its rim."""
     cell = np.floor((at - grid.origin) / grid.resolution).astype(np.int64)[:, ::-1]
     inside = ((cell >= 0) & (cell < grid.shape)).all(axis=1)
@@ -103,7 +103,7 @@ def _cells(grid: GridMap, at: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray,
 def _free(grid: GridMap, at: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
     """Which places lie on floor that beams went through, and all around them."""
     clear = (grid.passes >= PASSES) & (grid.occupancy() < FREE)
-    cell, inside = _cells(grid, at)
+    cell, inside = cells_at(grid, at)
     free = inside
     for dr in range(-AROUND, AROUND + 1):
         for dc in range(-AROUND, AROUND + 1):
@@ -161,7 +161,7 @@ def _share(before: GridMap, after: GridMap, back: Float[np.ndarray, "3"]) -> flo
     other = (after.hits > 0) | (after.passes > 0)
     rows, cols = np.nonzero(known)
     at = before.origin + before.resolution * (np.column_stack([cols, rows]) + 0.5)
-    cell, inside = _cells(after, np.asarray(se2.act(back, at)))
+    cell, inside = cells_at(after, np.asarray(se2.act(back, at)))
     both = int((inside & other[tuple(cell.T)]).sum()) * before.resolution**2
     either = len(at) * before.resolution**2 + int(other.sum()) * after.resolution**2 - both
     return both / either if either > 0 else 0.0
