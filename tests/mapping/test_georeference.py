@@ -16,6 +16,7 @@ from mapweave.core.records import Track
 from mapweave.io.fixes import TRANSFORM
 from mapweave.io.laser_state import read_laser_states
 from mapweave.io.ros_map import read_ros_map
+from mapweave.mapping import georeference
 from mapweave.mapping.georeference import georeferenced, starts_of
 from mapweave.mapping.woven_map import own_map
 from mapweave.sim.laser_worlds import OfficeConfig
@@ -113,12 +114,16 @@ def test_a_map_that_drifts_is_bent_by_good_fixes(drives, result):
     assert error(woven.graph.pose) < 0.4 * error(loose.pose)
 
 
-def test_fixes_that_jump_are_left_out_and_told(drives, result):
-    fixes = drives[0].log.fixes
-    place, rng = np.array(fixes.place), np.random.default_rng(1)
-    gone = rng.random(len(fixes)) < 0.3
+def jumping(fixes):
+    """Three in ten of the fixes lie 100 m north; and which."""
+    place, gone = np.array(fixes.place), np.random.default_rng(1).random(len(fixes)) < 0.3
     place[gone, 0] += 100 / 111_000
-    found = laid(result.maps[:1], [replace(fixes, place=place)])
+    return replace(fixes, place=place), gone
+
+
+def test_fixes_that_jump_are_left_out_and_told(drives, result):
+    fixes, gone = jumping(drives[0].log.fixes)
+    found = laid(result.maps[:1], [fixes])
     g = found.components[0].georeference
     assert not g.used[gone].any()
     told = next(f for f in found.findings if f.code == "fixes-rejected")
@@ -128,18 +133,29 @@ def test_fixes_that_jump_are_left_out_and_told(drives, result):
     assert np.hypot(*off[:, :2].T).max() < 1.0
 
 
-def test_half_a_drive_without_fixes_is_carried_over_and_told(drives, result):
+def test_a_map_is_not_laid_where_more_fixes_are_wrong_than_may_be(drives, result, monkeypatch):
+    fixes, gone = jumping(drives[0].log.fixes)
+    monkeypatch.setattr(georeference, "MOSTLY", 0.2)
+    found = laid(result.maps[:1], [fixes])
+    (told,) = (f for f in found.findings if f.code == "fixes-contradict")
+    assert told.severity == "bad"
+    assert 100 * gone.mean() <= told.value < 60.0
+    assert found.components[0].georeference is None
+
+
+@pytest.mark.parametrize("long", [False, True])
+def test_a_drive_mostly_without_fixes_is_carried_over_and_a_long_silence_is_told(drives, result, monkeypatch, long):
     fixes = drives[0].log.fixes
     lost = (fixes.t > fixes.t[10]) & (fixes.t < fixes.t[-10])
     kept = replace(fixes, t=fixes.t[~lost], place=fixes.place[~lost], cov=fixes.cov[~lost])
-    slow = replace(kept, t=kept.t)
-    found = laid(result.maps[:1], [slow])
+    silence = float(np.diff(kept.t).max())
+    assert silence > 20.0
+    monkeypatch.setattr(georeference, "SILENT", 0.9 * silence if long else 1.1 * silence)
+    found = laid(result.maps[:1], [kept])
     off = in_world(found.components[0].georeference, found.components[0].tracks["1"]) - drives[0].truth.pose
     assert np.hypot(*off[:, :2].T).max() < 1.5
-    silence = float(np.diff(kept.t).max())
-    assert [round(f.value, 6) for f in found.findings if f.code == "fixes-silent"] == (
-        [round(silence, 6)] if silence > 60.0 else []
-    )
+    told = [(f.value, f.span) for f in found.findings if f.code == "fixes-silent"]
+    assert told == ([(pytest.approx(silence), (kept.t[10], kept.t[11]))] if long else [])
 
 
 @pytest.mark.parametrize(
