@@ -21,15 +21,15 @@ from ..core import se2
 from ..core.findings import Finding, turned_scanner
 from ..core.records import Scan, frozen
 
-FALSE_RETURN_NEAR = 1.0  # [m] and nearer: the robot itself
+FALSE_RETURN_NEAR = 1.0  # [m] from the scanner: returns as near may be of the robot itself
 FALSE_RETURN_SAME = 0.03  # [m] about its middle a beam's range stays there,
 FALSE_RETURN_SHARE = 0.9  # in so many of the places looked at,
-FALSE_RETURN_BESIDE = 0.3  # or in so many beside such a beam: edges flicker
-FALSE_RETURN_APART = 0.25  # [m] or [rad] from one place to the next
-FALSE_RETURN_PLACES = 20  # at least, and
-FALSE_RETURN_MOST_PLACES = 200  # at most
+FALSE_RETURN_BESIDE = 0.3  # or in so many of them for a beam beside such a one: edges flicker
+FALSE_RETURN_APART = 0.25  # [m] or [rad] from one place that is looked at to the next
+FALSE_RETURN_PLACES = 20  # that are looked at, at least,
+FALSE_RETURN_MOST_PLACES = 200  # and at most
 FALSE_RETURN_TURNED = 6.0  # [rad] in all from place to place: driving straight, walls stay where they are, too
-FALSE_RETURN_SCANS = 20  # at least, and
+FALSE_RETURN_SCANS = 20  # scans that are looked at for equal ranges, at least, and
 EQUAL_SHARE = (0.02, 0.9)  # of their returns that have exactly the greatest range of all,
 FALSE_RETURN_TIMES = 20.0  # as many as have any one range
 FALSE_RETURN_BELOW = 0.1  # of it beneath, on average

@@ -9,10 +9,10 @@ from ..kernels.landmarks.ekf_state import Noise
 
 LOST_XY = 0.06  # [m / sqrt(s)] while no command is known
 LOST_THETA = 0.3  # [rad / sqrt(s)] of heading, while no command is known
-SPEED_TIME = 30.0  # [s] it keeps its speed
+SPEED_TIME = 30.0  # [s] a robot without commands keeps its speed
 EKF_SLAM_SPIN = 0.35  # [rad/s] standard deviation of its turn rate
-SPIN_TIME = 2.0  # [s] it keeps its turn rate
-EKF_SLAM_WANDER = 0.005  # [m / sqrt(s)] and [rad / sqrt(s)] it wanders beside its speed and spin
+SPIN_TIME = 2.0  # [s] such a robot keeps its turn rate
+EKF_SLAM_WANDER = 0.005  # [m / sqrt(s)] and [rad / sqrt(s)] such a robot wanders beside its speed and spin
 PIECE_OLDER = 0.2  # share of new rows in the last piece, from which an intermediate map is made anew
 PIECE_SIGHTINGS = 5  # of a landmark in a piece, before it helps to tie it
 PIECE_FLOOR = 0.005  # [m] a piece is never surer of a landmark than this

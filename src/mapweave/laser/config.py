@@ -19,12 +19,12 @@ from .particle_grid import CellConfig
 from .scan_matching import BARE_TANGENT, FrontEndConfig
 
 REFINE_NEFF = 60.0  # independent returns in a scan, for refining
-REFINE_SIGMA = 0.02  # [m] of each
+REFINE_SIGMA = 0.02  # [m] sd of each return, for refining
 REFINE_KAPPA = 0.1  # [m] width of the robust kernel
-REFINE_BARE_TANGENT = 0.03  # and without a feature
+REFINE_BARE_TANGENT = 0.03  # weight of the error along a line, for refining without a feature
 REFINE_SD_XY = 0.05  # [m] a particle may be moved by refining and
 REFINE_SD_TURN = 0.01  # [rad] turned
-FILTER_SIGMA = 0.05  # [m] of each
+FILTER_SIGMA = 0.05  # [m] sd of each return in the weights of particles
 FILTER_SHARED = 0.5  # a beam counts when matched in this share of the particles
 PAPER_SIGMA2 = 7e-4  # [m^2] sigma_z of the paper's likelihood
 

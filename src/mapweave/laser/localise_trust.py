@@ -17,9 +17,9 @@ from .place_search import Hit, LikelihoodField, PlaceConfig, everywhere, likelih
 from .submaps import query_around
 
 LEAST_OCCUPANCY = 0.3  # of a cell that is a wall: what was mostly seen through was somebody passing by
-TRUST_NEAR = 0.15  # [m] of them
+TRUST_NEAR = 0.15  # [m] of a wall of the map within which a return lies on it
 MOST_THROUGH = 0.1  # share of the beams at most that pass a wall of the map
-TRUST_MARGIN = 0.4  # [m] or more before they return
+TRUST_MARGIN = 0.4  # [m] or more before its return a beam must pass a wall to go through it
 TRUST_LEAST_COSINE = 0.3  # of incidence: beams along walls do not say what they pass
 TRUST_CONTRAST = 0.08  # [q] sd of the light of returns and of the map from which on it tells places apart: then
 LEAST_LIGHT = 0.75  # both must correlate so much at least: by chance a place searched for reaches 0.71
@@ -28,7 +28,7 @@ MOST_RATIO = 0.9  # share of its score that the next best place may have at most
 TRUST_SAME = 0.5  # [m] and
 SAME_TURN = 0.25  # [rad] between poses that are one place
 TRUST_KEYFRAME = 0.3  # [m] between the scans another place is searched for with
-TRUST_KEYFRAMES = 100  # of them, at most, the last
+TRUST_KEYFRAMES = 100  # scans that another place is searched for with, at most, the last
 TRUST_SCANS = 200  # that are held against the map, spread over the trajectory
 TRUST_BEAMS = 120  # returns of each that are asked
 

@@ -46,9 +46,9 @@ LONG_APART = 1.5  # [m] ahead in all: stamps that are mixed make stretches longe
 WHEEL_STAND = 2.0  # [m] that scans tell, on end, while wheels report no motion,
 STAND_STEP = 0.5  # [m] from one place to the next
 WHEEL_UNLIKE = 3.0  # times as far, or as little, as the wheels tell scans move in all
-UNLIKE_WAY = 5.0  # [m] at least
+UNLIKE_WAY = 5.0  # [m] that scans tell, at least
 WHEEL_LEAP = 2.0  # [m] from one scan to the next, or
-LEAP_TURN = 1.0  # [rad] that it turns, at
+LEAP_TURN = 1.0  # [rad] that it turns from one scan to the next: a leap, at
 LEAP_SPEED = 5.0  # times the speed that no more
 LEAP_OTHERS = 0.95  # of all steps than this share have
 
@@ -59,7 +59,7 @@ JUMP_LEAST_RETURNS = 30  # in either scan
 JUMP_LATE = 50  # scans, after which the first of a scanner belongs to another drive
 
 COPY_LEAST_RETURNS = 30  # of a keyframe that is compared,
-COPY_SCANS = 5  # that are equal, at least, and
+COPY_SCANS = 5  # keyframes that are equal, at least, and
 COPY_SHARE = 0.05  # of the keyframes of the robot that has fewer
 
 

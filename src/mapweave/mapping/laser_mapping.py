@@ -51,7 +51,7 @@ from .session import LaserSession
 
 MOMENT_WITHIN = 0.002  # [s] in which a robot hardly moves
 MOMENT_APART = 0.02  # [m] by which such rows contradict each other
-MOMENT_TURNED = 0.05  # [rad] the same of headings
+MOMENT_TURNED = 0.05  # [rad] by which the headings of such rows do
 SCAN_COUNTS = 2  # rows of odometry that a scan's pose, which was matched, outweighs
 
 FEW = 10  # scans: a log of fewer makes no map that could contradict itself

@@ -21,9 +21,9 @@ CLOCK_LEAST = 0.5  # [s] from which a clock is off: less is within the lateness 
 CLOCK_TRIED = 1.0  # standard deviations from which it is tried as it seems,
 CLOCK_ROUNDS = 8  # smoothing again after each,
 CLOCK_STILL = 0.05  # [s] until it moves no more
-CLOCK_GAIN = 25.0  # and the cost that it must take away
+CLOCK_GAIN = 25.0  # cost that a clock put right must take away at least
 CLOCK_SURE = 6.0  # standard deviations from which it is put right too,
-GAIN_SURE = 35.0  # and the cost
+GAIN_SURE = 35.0  # and the cost that it must take away then
 
 SMOOTHING_MEMORY = 5.0  # [s] over which errors of one robot's sightings of one landmark are taken to be correlated
 SMOOTHING_GROUPS = 3.0  # of factors, for each landmark coordinate and calibration parameter, that a sandwich wants

@@ -37,9 +37,9 @@ from .relative_frame import (
 from .team_map import TeamMap
 
 KIDNAP_BIN = 10.0  # [s] of a log in which sightings are compared with the map
-BIN_SIGHTINGS = 6  # in one, at least
-BIN_SHARE = 0.4  # of them that must agree
-BAD_BINS = 2  # that do not, from which a robot is looked at
+BIN_SIGHTINGS = 6  # in a bin at least, for it to count
+BIN_SHARE = 0.4  # of the sightings of a bin that must agree
+BAD_BINS = 2  # bins that do not agree, from which a robot is looked at
 KIDNAP_BENT = 0.2  # [m] by which its path differs from its wheels as calibrated, from which it is, within so many
 BENT_WITHIN = 6  # seconds
 KIDNAP_WINDOW = 8.0  # [s] of a log that is placed on its own,
