@@ -1,6 +1,5 @@
 """What `import mapweave` offers."""
 
-import ast
 import gc
 import subprocess
 import sys
@@ -38,13 +37,6 @@ def test_a_name_that_is_not_there_is_an_attribute_error_and_no_verb_hides_a_room
     assert not ROOMS & set(mapweave._HOMES)
     assert callable(mapweave.fuse)
     assert callable(mapweave.fusion.join.fuse)
-
-
-def test_a_type_checker_reads_the_same_names_from_the_same_modules():
-    tree = ast.parse(Path(mapweave.__file__).read_text(encoding="utf-8"))
-    (block,) = [node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
-    seen = {alias.asname: (node.module, alias.name) for node in block.body for alias in node.names}
-    assert seen == {name: (home, name) for name, home in mapweave._HOMES.items()}
 
 
 @pytest.mark.slow
