@@ -22,7 +22,7 @@ import gtsam
 import numpy as np
 
 from mapweave import simulate_landmarks
-from mapweave.api.evaluate_team import TeamTruth, read_team_truth
+from mapweave.api.evaluate import TeamTruth, read_team_truth
 from mapweave.api.team import team_maps
 from mapweave.core import se2
 from mapweave.core.landmark_log import LandmarkLog

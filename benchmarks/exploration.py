@@ -17,9 +17,8 @@ import numpy as np
 from mapweave.core.se2 import wrap_angle
 from mapweave.core.workers import one_blas_thread, worker_pool
 from mapweave.exploration.landmarks import coverage, objective
-from mapweave.exploration.landmarks.config import ExploreConfig
+from mapweave.exploration.landmarks.config import ExploreConfig, find_scenario, make_field
 from mapweave.exploration.landmarks.experiment import CALIBRATED, LandmarkMission, explore_many, with_noise
-from mapweave.exploration.landmarks.scenario import find_scenario, make_field
 from mapweave.exploration.landmarks.team import Team
 from mapweave.fusion.handover import hand_over
 from mapweave.kernels.landmarks import ekf, ekf_apply_drive, ekf_start, ekf_state

@@ -17,9 +17,8 @@ from time import process_time
 import numpy as np
 
 from mapweave.core.workers import worker_pool
-from mapweave.exploration.laser.config import LaserMissionConfig, with_odometry_noise
+from mapweave.exploration.laser.config import LaserMissionConfig, LaserScenarioConfig, with_odometry_noise
 from mapweave.exploration.laser.experiment import LaserMission, LaserScore, explore_laser_many
-from mapweave.exploration.laser.scenario import LaserScenarioConfig
 
 AREAS, TEAMS = (500, 1000, 2000, 5000), (1, 2, 4, 8)
 SEEDS = {500: 2, 1000: 2, 2000: 2, 5000: 1}  # area -> runs of each team, for --tables

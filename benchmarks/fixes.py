@@ -8,15 +8,15 @@ from dataclasses import replace
 import numpy as np
 
 import mapweave
-from mapweave.api.simulate_laser import SimulatedDrive, World
+from mapweave.api.simulate import SimulatedDrive, World
 from mapweave.core import se2
 from mapweave.core.fixes import Fixes, enu_of, place_of
 from mapweave.laser.laser_map import LaserMap
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.georeference import georeferenced
 from mapweave.mapping.woven_map import own_map
+from mapweave.sim.laser import DATUM, JUMP, simulated_fixes
 from mapweave.sim.laser_worlds import CorridorConfig, OfficeConfig
-from mapweave.sim.satellites import DATUM, JUMP, simulated_fixes
 
 WORLDS: tuple[tuple[str, World], ...] = (
     ("office", OfficeConfig(rooms=4, visited=2)),

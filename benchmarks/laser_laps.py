@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mapweave.api.laser_slam import LaserSlam
+from mapweave.api.slam import LaserSlam
 from mapweave.core import se2
 from mapweave.mapping.config import LaserConfig
 from mapweave.sim.laser import (

@@ -22,7 +22,7 @@ FACES = {"io", "papers", "report", "viewer", "cli", "live", "sim"}  # whole numb
 COMPUTING = ("landmarks", "fusion", "laser", "mapping", "swarm", "team", "exploration", "kernels", "solve")
 SCALE = 1e-3, 1e3  # what lies outside is so small or so large that it stands for nothing or for everything
 DEFAULTS = {  # floats that an argument has by itself in those rooms, and why
-    "swarm/headings.py: relative_odometry_frame(limit)": "callers in the package name their own",
+    "swarm/start.py: relative_odometry_frame(limit)": "callers in the package name their own",
     "swarm/filtered.py: filter_start(sigma)": "the paper's",
 }
 LITERALS = (ast.Constant, ast.Tuple, ast.List, ast.Dict, ast.UnaryOp, ast.BinOp, ast.operator, ast.unaryop, ast.Load)

@@ -16,8 +16,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from mapweave.api.simulate_landmarks import simulate_landmarks
-from mapweave.api.simulate_laser import simulate_laser
+from mapweave.api.simulate import simulate_landmarks, simulate_laser
 from mapweave.core.landmark_log import LandmarkLog
 from mapweave.core.laser_log import LaserLog
 from mapweave.io.landmark_logs import read_landmark_logs

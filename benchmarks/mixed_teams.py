@@ -25,7 +25,7 @@ import numpy as np
 from mixed_bound import landmark_bound
 
 import mapweave
-from mapweave.api.evaluate_team import TeamTruth, read_team_truth
+from mapweave.api.evaluate import TeamTruth, read_team_truth
 from mapweave.core import se2
 from mapweave.core.walls import Walls
 from mapweave.evaluation.consistency import mean_or_none

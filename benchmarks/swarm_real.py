@@ -102,7 +102,7 @@ def team(path: Path, seconds: float | None = None) -> dict:
 def tracked(table, odometry, truth):
     """The track, and by robot: its track, which stamps truth covers, the true positions there."""
     from mapweave.core.bearings import BearingTable
-    from mapweave.swarm.moving.drive import smooth_driving
+    from mapweave.swarm.moving.smooth import smooth_driving
 
     sigma = np.full(len(table.observer), np.radians(0.6))
     ready = BearingTable(table.ids, table.observer, table.target, table.direction, sigma, table.t, axis=False)

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from mapweave import simulate_landmarks
-from mapweave.api.evaluate_team import read_team_truth
+from mapweave.api.evaluate import read_team_truth
 from mapweave.api.team import team_maps
 from mapweave.core.workers import keep_one_blas_thread
 from mapweave.evaluation.team import score_team

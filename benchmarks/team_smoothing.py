@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mapweave.api.evaluate_team import TeamTruth, read_team_truth
+from mapweave.api.evaluate import TeamTruth, read_team_truth
 from mapweave.api.team import team_maps
 from mapweave.core import se2
 from mapweave.evaluation.consistency import mean_or_none

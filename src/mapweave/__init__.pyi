@@ -7,23 +7,23 @@ from .api.demo import demo as demo
 from .api.doctor import Diagnosis as Diagnosis, doctor as doctor
 from .api.edit import edit as edit
 from .api.evaluate import Evaluation as Evaluation, evaluate as evaluate
-from .api.evaluate_relations import RelationEvaluation as RelationEvaluation
-from .api.evaluate_swarm import SwarmEvaluation as SwarmEvaluation
-from .api.evaluate_team import TeamEvaluation as TeamEvaluation
-from .api.evaluate_tracks import TrackEvaluation as TrackEvaluation
+from .api.evaluate import RelationEvaluation as RelationEvaluation
+from .api.evaluate import SwarmEvaluation as SwarmEvaluation
+from .api.evaluate import TeamEvaluation as TeamEvaluation
+from .api.evaluate import TrackEvaluation as TrackEvaluation
 from .api.explore import LandmarkExploration as LandmarkExploration, explore as explore
-from .api.explore_laser import LaserExploration as LaserExploration
+from .api.explore import LaserExploration as LaserExploration
 from .api.fuse import fuse as fuse
-from .api.landmark_slam import LandmarkSlam as LandmarkSlam
+from .api.slam import LandmarkSlam as LandmarkSlam
 from .api.laser_result import LaserResult as LaserResult
-from .api.laser_slam import LaserSlam as LaserSlam
+from .api.slam import LaserSlam as LaserSlam
 from .api.live import live_map as live_map, live_robot as live_robot
 from .api.live_keys import live_keys as live_keys
 from .api.live_result import LiveRobot as LiveRobot
 from .api.live_robots import live_robots as live_robots
 from .api.live_ros2 import RosOptions as RosOptions
 from .api.live_view import live_view as live_view
-from .api.load import load as load
+from .api.result import load as load
 from .api.localize import LocalizeJobConfig as LocalizeJobConfig, LocalizeResult as LocalizeResult, localize as localize
 from .api.locate import LocateConfig as LocateConfig, locate as locate
 from .api.located import Located as Located
@@ -32,14 +32,14 @@ from .api.map_landmarks import LandmarkMapConfig as LandmarkMapConfig
 from .api.map_laser import LaserMapConfig as LaserMapConfig
 from .api.map_mixed import MixedMapConfig as MixedMapConfig, MixedResult as MixedResult
 from .api.map_options import LaserOptions as LaserOptions
-from .api.moving_result import Moved as Moved
+from .api.located import Moved as Moved
 from .api.ranges import RangeResult as RangeResult, solve_ranges as solve_ranges
 from .api.read import Log as Log, read as read
 from .api.result import MapResult as MapResult, Result as Result
-from .api.simulate_landmarks import SimulatedTeam as SimulatedTeam, simulate_landmarks as simulate_landmarks
-from .api.simulate_laser import SimulatedDrive as SimulatedDrive, simulate_laser as simulate_laser
-from .api.simulate_swarm import SimulatedSwarm as SimulatedSwarm, simulate_swarm as simulate_swarm
-from .api.simulate_team import SimulatedMixedTeam as SimulatedMixedTeam, simulate_team as simulate_team
+from .api.simulate import SimulatedTeam as SimulatedTeam, simulate_landmarks as simulate_landmarks
+from .api.simulate import SimulatedDrive as SimulatedDrive, simulate_laser as simulate_laser
+from .api.simulate import SimulatedSwarm as SimulatedSwarm, simulate_swarm as simulate_swarm
+from .api.simulate import SimulatedMixedTeam as SimulatedMixedTeam, simulate_team as simulate_team
 from .api.solve import SolveResult as SolveResult, solve_pose_graph as solve_pose_graph
 from .api.team import TeamResult as TeamResult
 from .api.view import view as view

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import mapweave
-from mapweave.api.locate_options import parse_anchors, parse_distances
+from mapweave.api.locate import parse_anchors, parse_distances
 from mapweave.cli import _run
 from mapweave.core.bearings import parse_angle
 from mapweave.core.errors import DataError, UsageError

@@ -6,7 +6,7 @@ from scipy import ndimage
 from mapweave.core import se2
 from mapweave.core.walls import WallIndex
 from mapweave.exploration.laser.config import LaserExploreConfig
-from mapweave.exploration.laser.planner_state import LaserBelief
+from mapweave.exploration.laser.mission import LaserBelief
 from mapweave.exploration.planner_interface import find_planner
 from mapweave.kernels.laser.scan_laying import CellCounts, lay_scan
 from mapweave.laser.occupancy import FREE, OCCUPIED, Occupancy, from_counts

@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mapweave.api.explore import explore
-from mapweave.api.explore_options import parse_kills
+from mapweave.api.explore import explore, parse_kills
 from mapweave.cli import _run
 from mapweave.core.errors import ConfigError, DataError, EstimateError, UsageError
-from mapweave.exploration.landmarks.scenario import find_scenario, make_field
-from mapweave.exploration.laser.scenario import find_laser_scenario, make_place
+from mapweave.exploration.landmarks.config import find_scenario, make_field
+from mapweave.exploration.laser.config import find_laser_scenario, make_place
 from mapweave.exploration.planner_interface import TeamBelief, query_planner
 
 FIELD = "lower = [-5, -5]\nupper = [5, 5]\nlandmarks = [[-3.0, 3.0], [3.0, 3.0]]\n"

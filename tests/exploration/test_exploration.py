@@ -22,6 +22,9 @@ from mapweave.exploration.landmarks.config import (
     LoopConfig,
     MissionConfig,
     ObjectiveConfig,
+    ScenarioConfig,
+    find_scenario,
+    make_field,
 )
 from mapweave.exploration.landmarks.experiment import (
     CALIBRATED,
@@ -30,7 +33,6 @@ from mapweave.exploration.landmarks.experiment import (
     explore_once,
     with_noise,
 )
-from mapweave.exploration.landmarks.scenario import ScenarioConfig, find_scenario, make_field
 from mapweave.exploration.landmarks.team import Team, Truth
 from mapweave.exploration.planner_interface import find_planner
 from mapweave.fusion.handover import Handover, hand_over

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mapweave.exploration.laser.config import LaserExploreConfig
-from mapweave.exploration.laser.planner_state import PlannerState
+from mapweave.exploration.laser.mission import PlannerState
 from mapweave.exploration.laser.planners import predicted_path, steer
 
 from .laser_truth import Team, known_map, room, world_of

@@ -8,8 +8,8 @@ import pytest
 
 from mapweave.api.explore import explore
 from mapweave.core.errors import ConfigError, DataError, EstimateError, ReaderError, UsageError
+from mapweave.exploration.laser.config import find_laser_scenario
 from mapweave.exploration.laser.experiment import LaserMission, explore_laser_once, start
-from mapweave.exploration.laser.scenario import find_laser_scenario
 from mapweave.io.laser_logs import read_laser
 
 from .fresh import workers

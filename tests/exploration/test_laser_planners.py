@@ -9,7 +9,7 @@ import pytest
 from mapweave.core.errors import UsageError
 from mapweave.exploration.laser.config import LaserExploreConfig
 from mapweave.exploration.laser.frontiers import frontiers, mapped_ground
-from mapweave.exploration.laser.planner_state import PlannerState, route_to
+from mapweave.exploration.laser.mission import PlannerState, route_to
 from mapweave.exploration.laser.planners import (
     allocation_problem,
     by_tours,

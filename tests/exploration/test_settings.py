@@ -11,10 +11,8 @@ from mapweave.core.config import build
 from mapweave.exploration import world
 from mapweave.exploration.landmarks import config as landmarks
 from mapweave.exploration.landmarks import coverage
-from mapweave.exploration.landmarks import scenario as landmark_scenario
-from mapweave.exploration.landmarks.config import ExploreConfig
+from mapweave.exploration.landmarks.config import ExploreConfig, ScenarioConfig, make_field
 from mapweave.exploration.landmarks.coverage import approach_cost
-from mapweave.exploration.landmarks.scenario import ScenarioConfig, make_field
 from mapweave.exploration.landmarks.steering import steer
 from mapweave.exploration.landmarks.team import Team
 from mapweave.exploration.laser import config as laser
@@ -23,7 +21,7 @@ from mapweave.exploration.laser.planners import candidate_commands
 from mapweave.exploration.laser.planners import steer as follow
 
 
-@pytest.mark.parametrize("module", [landmarks, laser, world, landmark_scenario])
+@pytest.mark.parametrize("module", [landmarks, laser, world])
 def test_every_setting_says_what_it_means(module):
     """Each field but tables has a comment of more than a unit."""
     own = [c for c in vars(module).values() if is_dataclass(c) and c.__module__ == module.__name__]

@@ -8,7 +8,14 @@ from PIL import Image
 
 from mapweave.api.explore import explore
 from mapweave.core.errors import ConfigError, DataError, ReaderError, UsageError
-from mapweave.exploration.landmarks.config import ExploreConfig
+from mapweave.exploration.landmarks.config import (
+    ExploreConfig,
+    ScenarioConfig,
+    bounds,
+    find_scenario,
+    find_walls,
+    make_field,
+)
 from mapweave.exploration.landmarks.experiment import (
     CALIBRATED,
     LandmarkMission,
@@ -16,7 +23,6 @@ from mapweave.exploration.landmarks.experiment import (
     explore_once,
     with_noise,
 )
-from mapweave.exploration.landmarks.scenario import ScenarioConfig, bounds, find_scenario, find_walls, make_field
 from mapweave.exploration.landmarks.steering import given_up, next_target, offered
 from mapweave.exploration.landmarks.team import Team
 from mapweave.exploration.planner_interface import find_planner

@@ -7,9 +7,14 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.core.errors import EstimateError
-from mapweave.fusion import relative, relative_information, robot_sightings
-from mapweave.fusion.relative import RELATIVE_PRIOR_FRAME_VARIANCE, RelativeConfig, as_measurement, fuse_relative
-from mapweave.fusion.robot_sightings import FrameSightings
+from mapweave.fusion import relative, relative_information
+from mapweave.fusion.relative import (
+    RELATIVE_PRIOR_FRAME_VARIANCE,
+    FrameSightings,
+    RelativeConfig,
+    as_measurement,
+    fuse_relative,
+)
 from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.papers.kojima import rls
 from mapweave.solve import minimise
@@ -211,9 +216,9 @@ def test_sightings_of_robots_by_robots_tie_the_frames_more_tightly():
     seen[:, 0] += 4.0
     sigma = np.array([0.005, 0.002])
     n = np.ones((40, 1))
-    z = robot_sightings.predict(n * frames[1], seer, n * frames[2], seen) + rng.normal(size=(40, 2)) * sigma
+    z = relative.predict(n * frames[1], seer, n * frames[2], seen) + rng.normal(size=(40, 2)) * sigma
     told = FrameSightings(1, 2, seer, seen, z, np.tile(np.diag(sigma**2), (40, 1, 1)))
-    back = robot_sightings.predict(n * frames[1], seer, n * frames[0], seen)
+    back = relative.predict(n * frames[1], seer, n * frames[0], seen)
     gauge = FrameSightings(1, 0, seer, seen, back, np.tile(np.diag(sigma**2), (40, 1, 1)))
     without, with_them = fuse_relative(maps), fuse_relative(maps, sightings=[told, gauge])
     for k in (1, 2):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.fusion import relative_information, robot_sightings
+from mapweave.fusion import relative, relative_information
 
 JACOBIANS = "Jacobians against central differences"
 
@@ -76,8 +76,8 @@ def test_sighting_jacobians_agree_with_central_differences_below_1e_8(record_pro
     for _ in range(20):
         x = rng.uniform(-2, 2, 12)
         x[6:8] += 6.0
-        N = numeric(lambda v: robot_sightings.predict(*v.reshape(4, 3)), x, np.array([False, True]), 1e-4)
-        worst = np.abs(robot_sightings.by_poses(*x.reshape(4, 3)) - N).max()
+        N = numeric(lambda v: relative.predict(*v.reshape(4, 3)), x, np.array([False, True]), 1e-4)
+        worst = np.abs(relative.by_poses(*x.reshape(4, 3)) - N).max()
         record_property("asserted", (JACOBIANS, "< 1e-8", float(worst)))
         assert worst < 1e-8
 

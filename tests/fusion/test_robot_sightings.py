@@ -5,11 +5,10 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.core.records import Track
-from mapweave.fusion import robot_sightings
+from mapweave.fusion import relative
 from mapweave.fusion.config import FuseConfig
 from mapweave.fusion.join import fuse
-from mapweave.fusion.relative import fuse_relative
-from mapweave.fusion.robot_sightings import FrameSightings, frame_sightings, sighting_factor
+from mapweave.fusion.relative import FrameSightings, frame_sightings, fuse_relative, sighting_factor
 from mapweave.landmarks.landmark_map import LocalMap, RobotSightings, Submap
 
 SENSOR = {"range_sigma": 0.1, "bearing_sigma": 0.02, "every": 5.0}
@@ -27,7 +26,7 @@ def team(seed, sigma=0.05):
         np.stack([np.cos(t / 9 + k), np.sin(t / 9 + k), se2.wrap_angle(t / 9 + k + np.pi / 2)], axis=-1) for k in (0, 1)
     ]
     n = np.ones((len(t), 1))
-    z = robot_sightings.predict(n * FRAMES[0], tracks[0], n * FRAMES[1], tracks[1])
+    z = relative.predict(n * FRAMES[0], tracks[0], n * FRAMES[1], tracks[1])
     z += rng.normal(size=z.shape) * [0.1, 0.02]
     sightings = RobotSightings(t[::2], ("2",) * len(t[::2]), z[::2, 0], z[::2, 1])
     for k in (0, 1):

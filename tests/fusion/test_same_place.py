@@ -9,7 +9,7 @@ import pytest
 from mapweave.api.fuse import fuse as fuse_results
 from mapweave.api.map_landmarks import map_logs
 from mapweave.api.map_options import MapOptions
-from mapweave.api.simulate_landmarks import simulate_landmarks
+from mapweave.api.simulate import simulate_landmarks
 from mapweave.core import se2
 from mapweave.core.errors import ConfigError
 from mapweave.fusion.config import FuseConfig

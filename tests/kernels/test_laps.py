@@ -22,7 +22,7 @@ from mapweave.kernels.exploration.objective import mark_half_disc
 from mapweave.kernels.landmarks.submap import sight_jacobian
 from mapweave.kernels.walls.segments import Raster, Sector
 from mapweave.landmarks.submap_slam import SubmapConfig, move
-from mapweave.sim.field import Field
+from mapweave.sim.landmarks import Field
 
 LOWER, UPPER = np.array([-20.0, -15.0]), np.array([20.0, 15.0])
 STARTS = np.array([[-3.0, 0.0, np.pi], [3.0, 1.0, 0.0]])

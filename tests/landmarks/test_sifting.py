@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import mapweave
-from mapweave.api.evaluate_team import read_team_truth
+from mapweave.api.evaluate import read_team_truth
 from mapweave.core.landmark_log import LandmarkLog, SightingTable
 from mapweave.core.records import Odometry
 from mapweave.evaluation.consistency import mean_or_none

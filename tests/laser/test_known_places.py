@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mapweave.api.laser_slam import LaserSlam
+from mapweave.api.slam import LaserSlam
 from mapweave.core import se2
 from mapweave.io.robot_graph import read_robot_graph, write_robot_graph
 from mapweave.mapping.config import LaserConfig

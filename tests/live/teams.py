@@ -4,7 +4,7 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
-from mapweave.api.simulate_landmarks import simulate_landmarks
+from mapweave.api.simulate import simulate_landmarks
 from mapweave.io.landmark_logs import read_landmark_logs
 from mapweave.live.landmark_stream import messages_of
 from mapweave.live.messages import encode

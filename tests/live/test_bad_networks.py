@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mapweave.api.live import live_map, live_robot
-from mapweave.api.simulate_landmarks import simulate_landmarks
+from mapweave.api.simulate import simulate_landmarks
 from mapweave.cli import _run
 from mapweave.live.transport import Network
 

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from mapweave.api.simulate_laser import simulate_laser
+from mapweave.api.simulate import simulate_laser
 from mapweave.core.findings import Unused
 from mapweave.live.columns import pack, pack_triangle
 from mapweave.live.door import JUMP, LONGEST, MOST_BEAMS, MOST_MESSAGES, decode

@@ -8,8 +8,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from mapweave.api.laser_slam import LaserSlam
-from mapweave.api.simulate_laser import simulate_laser
+from mapweave.api.simulate import simulate_laser
+from mapweave.api.slam import LaserSlam
 from mapweave.core.errors import UsageError
 from mapweave.live.door import decode
 from mapweave.live.laser_robot import LaserRobot

@@ -5,7 +5,7 @@ import time
 import pytest
 
 from mapweave.api.map import map as map_logs
-from mapweave.api.simulate_landmarks import simulate_landmarks
+from mapweave.api.simulate import simulate_landmarks
 
 from .processes import Fleet, same_result
 

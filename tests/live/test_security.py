@@ -14,7 +14,7 @@ import pytest
 
 from mapweave.api.live import INSECURE, live_map, live_robot
 from mapweave.api.live_keys import live_keys
-from mapweave.api.simulate_landmarks import simulate_landmarks
+from mapweave.api.simulate import simulate_landmarks
 from mapweave.cli import _run
 from mapweave.cli.live_door import FORGED, STRANGER, Denials, plain, reason_of
 from mapweave.core.errors import DataError, UsageError

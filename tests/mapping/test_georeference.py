@@ -19,8 +19,8 @@ from mapweave.io.ros_map import read_ros_map
 from mapweave.mapping import georeference
 from mapweave.mapping.georeference import georeferenced, starts_of
 from mapweave.mapping.woven_map import own_map
+from mapweave.sim.laser import DATUM, simulated_fixes
 from mapweave.sim.laser_worlds import OfficeConfig
-from mapweave.sim.satellites import DATUM, simulated_fixes
 
 SMALL = OfficeConfig(rooms=2, visited=1)
 NOISE = 0.5  # [m]

@@ -9,8 +9,7 @@ import pytest
 from mapweave.papers.hamatani.reproduce import CLAIMS as HAMATANI
 from mapweave.papers.hara.reproduce import CLAIMS as HARA
 from mapweave.papers.kojima.reproduce import CLAIMS as KOJIMA
-from mapweave.papers.reproduction import CLAIMS_HEAD, markdown
-from mapweave.papers.verdicts import Typed, Verdict
+from mapweave.papers.reproduction import CLAIMS_HEAD, Typed, Verdict, markdown
 from mapweave.papers.yuan.reproduce import CLAIMS as YUAN
 
 TOP = Path(__file__).parent.parent.parent

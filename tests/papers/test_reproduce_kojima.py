@@ -9,7 +9,7 @@ from mapweave.cli import _run
 from mapweave.core import se2
 from mapweave.core.errors import UsageError
 from mapweave.papers.kojima.experiments import honesty, merge_online, unequal
-from mapweave.papers.kojima.identity_trials import (
+from mapweave.papers.kojima.measured import (
     EXACT,
     IdentityTrials,
     Price,

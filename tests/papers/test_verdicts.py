@@ -7,7 +7,7 @@ import pytest
 
 from mapweave.papers.hamatani.experiments import CASES, LAYOUT, VARIANCES, Beyond, Cell, TableCell
 from mapweave.papers.hamatani.reproduce import DRIFT, PRINTED, HamataniReproduction, Pictures
-from mapweave.papers.verdicts import Check, Rule, Typed, question, rule
+from mapweave.papers.reproduction import Check, Rule, Typed, question, rule
 
 ASKED = rule(Check("a", "ours / printed", 0.5, 2.0), Check("b", "wrong", most=0.0))
 

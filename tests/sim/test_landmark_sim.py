@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mapweave.api.simulate_landmarks import simulate_landmarks
+from mapweave.api.simulate import simulate_landmarks
 from mapweave.core import se2
 from mapweave.core.errors import UsageError
 from mapweave.io.landmark_logs import read_landmark_logs

@@ -5,7 +5,7 @@ import pytest
 import scipy.sparse as sp
 
 from mapweave.solve import Information, Pattern, Problem, SingularError
-from mapweave.solve.block_cholesky import BlockCholesky, BlockOrder
+from mapweave.solve.information import BlockCholesky, BlockOrder
 from mapweave.solve.problem import Factor
 
 

@@ -6,9 +6,8 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import dijkstra
 
 from mapweave.kernels.dense import extend_add
-from mapweave.solve.elimination import Elimination, _hops, dissect, hop_coordinates
+from mapweave.solve.elimination import Cholesky, Elimination, NotPositiveError, _hops, dissect, hop_coordinates
 from mapweave.solve.information import Information, SingularError
-from mapweave.solve.multifrontal import Cholesky, NotPositiveError
 
 
 def laplacian(n, edges, block, rng):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mapweave.swarm.factors import apart_factor, bearing_factor, distance_factor, heading_entries, prior_factor, width
-from mapweave.swarm.headings import mutual_pairs
 from mapweave.swarm.network import BearingNetwork, Distance
+from mapweave.swarm.start import mutual_pairs
 
 RNG = np.random.default_rng(6)
 

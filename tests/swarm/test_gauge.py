@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapweave.swarm.factors import bearing_factor, width
-from mapweave.swarm.gauge import Gauge, gauge_basis, gauge_pins, normalise
+from mapweave.swarm.observability import Gauge, gauge_basis, gauge_pins, normalise
 
 from .swarms import complete
 

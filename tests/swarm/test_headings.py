@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.swarm.headings import (
+from mapweave.swarm.network import BearingNetwork
+from mapweave.swarm.start import (
     anchored_turn,
     beacon_headings,
     headings_at,
@@ -13,7 +14,6 @@ from mapweave.swarm.headings import (
     resected_headings,
     world_directions,
 )
-from mapweave.swarm.network import BearingNetwork
 
 
 def swarm(seed, n=7, noise=0.0, pairs=None, anchors=()):

@@ -13,12 +13,10 @@ from mapweave.core.errors import DataError
 from mapweave.core.records import Odometry
 from mapweave.sim.swarm import SwarmScene, simulate_swarm
 from mapweave.swarm import posterior
-from mapweave.swarm.headings import relative_odometry_frame
-from mapweave.swarm.moving.drive import smooth_driving
-from mapweave.swarm.moving.factors import odometry_factor, sighting_factor, velocity_factor
-from mapweave.swarm.moving.poses import odometry_steps
+from mapweave.swarm.moving.poses import odometry_factor, odometry_steps, sighting_factor, velocity_factor
 from mapweave.swarm.moving.result import TrackConfig
-from mapweave.swarm.moving.smooth import filtered, smooth
+from mapweave.swarm.moving.smooth import filtered, smooth, smooth_driving
+from mapweave.swarm.start import relative_odometry_frame
 
 DRIVING = TrackConfig(slip_floor=0.02, slip=0.05, turn_floor=0.02, turn=0.05)
 

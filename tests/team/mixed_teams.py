@@ -6,7 +6,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import mapweave
-from mapweave.api.evaluate_team import TeamTruth, read_team_truth
+from mapweave.api.evaluate import TeamTruth, read_team_truth
 from mapweave.api.team import team_maps
 from mapweave.core.landmark_log import LandmarkLog
 from mapweave.evaluation.team import score_team

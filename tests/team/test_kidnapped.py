@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import mapweave
-from mapweave.api.evaluate_team import read_team_truth
+from mapweave.api.evaluate import read_team_truth
 from mapweave.core import se2
 from mapweave.core.landmark_log import LandmarkLog
 from mapweave.evaluation.team import score_team

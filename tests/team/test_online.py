@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import mapweave
-from mapweave.api.online import times_of
-from mapweave.api.smooth_online import closing_start, smooth_online
+from mapweave.api.map_landmarks import closing_start, smooth_online
+from mapweave.api.team import times_of
 from mapweave.core import se2
 from mapweave.core.workers import no_progress
 from mapweave.evaluation.team import score_team

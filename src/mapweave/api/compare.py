@@ -27,7 +27,7 @@ from ..report.result import ResultBase, Rows
 from ..report.scene import Scene
 from ..report.style import Target, colour
 from .laser_result import LaserResult
-from .load import load
+from .result import load
 
 KINDS = {"new": (colour(2), "walls that are new"), "gone": (colour(5), "walls that are gone")}
 MOST_TOLD = 12  # changes or decisions in the summary

@@ -25,11 +25,11 @@ from ..io.directory import check_target, result_directory, result_file
 from ..io.web import Answer, served_pages
 from ..mapping.decisions import TOGETHER, UNDECIDED, WORDS, PairRow, PlaceRow
 from ..mapping.woven_map import WovenMap
-from ..report.editing import editing_page
 from ..report.laser_figures import laser_scene
+from ..report.small_pages import editing_page
 from ..report.woven import robot_colour, told_component
 from .laser_result import LaserResult, woven_result
-from .load import load
+from .result import load
 
 OUTLINE = 3000  # points of a map that is laid on another by hand
 Row = dict[str, Any]

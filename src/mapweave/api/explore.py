@@ -1,17 +1,18 @@
-"""Robots that decide where to drive: many seeded runs of one scenario, scored."""
+"""Robots that decide where to drive, among landmarks or among walls: many seeded runs of one scenario, scored."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from contextlib import nullcontext
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from ..core.config import expect_positive, load
 from ..core.errors import ConfigError, UsageError
 from ..core.paths import AnyConfig, path_arguments
-from ..core.workers import Progress, no_progress, one_blas_thread
-from ..exploration.landmarks.config import ExploreConfig
+from ..core.workers import Progress, no_progress, one_blas_thread, worker_pool
+from ..exploration.landmarks.config import ExploreConfig, check_rasters, find_scenario, make_field
 from ..exploration.landmarks.experiment import (
     CALIBRATED,
     ExploreResult,
@@ -21,16 +22,272 @@ from ..exploration.landmarks.experiment import (
     noise_factor,
     with_noise,
 )
-from ..exploration.landmarks.scenario import check_rasters, find_scenario, make_field
-from ..exploration.laser.scenario import find_laser_scenario
+from ..exploration.laser.config import (
+    LaserMissionConfig,
+    LaserScenarioConfig,
+    find_laser_scenario,
+    make_place,
+    with_odometry_noise,
+)
+from ..exploration.laser.experiment import LaserExploreResult, LaserMission, explore_laser_many, explore_laser_once
+from ..exploration.mission import RunScore
 from ..exploration.planner_interface import find_planner, is_built_in
+from ..exploration.world import check_cells
 from ..io.directory import check_target
+from ..io.kept import kept_parts, part
 from ..report.result import ResultBase, Rows
-from .explore_laser import LaserExploration, explore_laser
-from .explore_options import ExploreOptions, check_magnitudes, end_of, factor_of, kills_of
 
 if TYPE_CHECKING:
     from ..report.style import Target
+
+
+Score = TypeVar("Score", bound=RunScore)
+Record = TypeVar("Record")
+Result = TypeVar("Result", bound=ResultBase)
+LOUDEST = 1e4  # times the usual noise, far beyond what any filter bears
+LARGEST = 1e9  # no length, count or weight of an exploration is beyond
+
+
+def parse_kills(text: list[str] | None) -> dict[str, int]:
+    """`robot2@100` -> {"robot2": 100}."""
+    out: dict[str, int] = {}
+    for word in text or []:
+        name, at, step = word.partition("@")
+        if not at or not step.isdecimal():
+            raise UsageError(f"--kill: expected robotK@STEP, found {word!r}")
+        if name in out:
+            raise UsageError(f"--kill: {name} can die but once, found {name}@{out[name]} and {word}")
+        out[name] = int(step)
+    return out
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExploreOptions:
+    """What `explore` is asked for, among landmarks and among walls; a planner of None is the scenario's own.
+
+    Raises UsageError for a number of runs, a seed, a number of processes or a share that cannot be.
+    """
+
+    robots: int | None
+    runs: int
+    seed: int
+    planner: str | None
+    association: str | None
+    noise: str | float
+    until: str | int
+    kill: Mapping[str, int] | None
+    drop: float
+    config: AnyConfig | None
+    jobs: int
+    executor: Executor | None
+    out: Path | str | None
+    force: bool
+    on_progress: Progress
+
+    def __post_init__(self) -> None:
+        if self.runs < 1 or self.jobs < 1:
+            raise UsageError(f"--runs and --jobs: expected at least 1, found {self.runs} and {self.jobs}")
+        if self.seed < 0:
+            raise UsageError(f"--seed: expected 0 or more, found {self.seed}")
+        if not 0 <= self.drop < 1:
+            raise UsageError(f"--drop: expected a share of messages from 0 to below 1, found {self.drop:g}")
+
+    def explore(
+        self,
+        once: Callable[[int], tuple[Score, Record]],
+        many: Callable[[int, int, Executor | None], list[Score]],
+        result: Callable[[tuple[Score, ...], Record], Result],
+        *,
+        ours: bool,
+        **callbacks: Callable[[int, float], None],
+    ) -> Result:
+        """The result of all runs, numbered from 0, written to `out` if given; a folder that is refused stops it first.
+
+        once: seed -> score and record of the first run; many: (how many, the seed of the first, where to run them) ->
+        scores; result: (scores, the first run's record) -> what `explore` gives; ours: no module and no file beside
+        decides what happens, so that finished runs can be kept;
+        callbacks: who hears of the first run, by the names that `once` knows.
+        """
+        if self.out is not None:
+            check_target(Path(self.out), force=self.force)
+        self.on_progress("exploring", 0, self.runs)
+        with kept_parts() if ours else nullcontext():
+            score, first = part(once, self.seed, **callbacks)
+            exploration = result(self._scored(score, many), first)
+            if self.out is not None:
+                exploration.write(self.out, force=self.force)
+        return exploration
+
+    def _scored(self, first: Score, many: Callable[[int, int, Executor | None], list[Score]]) -> tuple[Score, ...]:
+        scores = [first]
+        self.on_progress("exploring", 1, self.runs)
+        with worker_pool(self.jobs, self.runs - 1, self.executor) as workers:
+            step = max(1, self.jobs) * 2
+            for start in range(1, self.runs, step):
+                scores += many(min(step, self.runs - start), self.seed + start, workers)
+                self.on_progress("exploring", len(scores), self.runs)
+        return tuple(replace(score, run=k) for k, score in enumerate(scores))
+
+
+def factor_of(noise: str | float, names: str) -> float:
+    """A positive factor; `names` are the words that would have been understood too."""
+    try:
+        factor = float(noise)
+    except ValueError:
+        raise UsageError(f"--noise: expected {names} or a factor, found {noise!r}") from None
+    if not 0 < factor <= LOUDEST:
+        raise UsageError(f"--noise: expected a positive factor up to {LOUDEST:g}, found {noise!r}")
+    return factor
+
+
+def end_of(until: str | int, *words: str) -> str | int:
+    """One of `words`, or a number of steps, at least one."""
+    if isinstance(until, str) and until in words:
+        return until
+    try:
+        steps = int(until)
+    except ValueError:
+        raise UsageError(f"--until: expected {', '.join(words)} or a number of steps, found {until!r}") from None
+    if steps < 1:
+        raise UsageError(f"--until: expected at least 1 step, found {steps}")
+    return steps
+
+
+def check_magnitudes(cfg: object, where: str) -> None:
+    """Raises ConfigError that lists every number of `cfg`, tables included, that is beyond `LARGEST`."""
+    wild = [f"{key}: expected at most {LARGEST:g}, found {v:g}" for key, v in _numbers(cfg, "") if abs(v) > LARGEST]
+    if wild:
+        raise ConfigError(f"{where}: {'; '.join(wild)}")
+
+
+def _numbers(value: object, key: str) -> Iterator[tuple[str, float]]:
+    """Every number under `value` with its dotted name."""
+    if is_dataclass(value):
+        for f in fields(value):
+            yield from _numbers(getattr(value, f.name), f"{key}.{f.name}" if key else f.name)
+    elif isinstance(value, tuple):
+        for k, v in enumerate(value):
+            yield from _numbers(v, f"{key}.{k}")
+    elif isinstance(value, int | float):
+        yield key, value
+
+
+def kills_of(kill: Mapping[str, int], robots: int) -> dict[int, int]:
+    """The step at which each robot dies, by number from 0; a name that no robot has is refused."""
+    names = {f"robot{k + 1}": k for k in range(robots)}
+    for name in kill:
+        if name not in names:
+            raise UsageError(f"--kill: no robot is called {name!r}; there are {', '.join(names)}")
+    return {names[name]: step for name, step in kill.items()}
+
+
+LASER_POSITIVE = (
+    *("robots.radius", "robots.speed", "robots.turn", "robots.period", "robots.scanner.beams", "robots.scanner.far"),
+    *("plan.resolution", "plan.max_steps", "plan.replan_every", "plan.split", "plan.most_goals"),
+    *("map_resolution", "tolerance", "beam_stride", "frontier_check_every", "false_distance", "false_turn"),
+    *("plan.goals.same", "plan.goals.arrived", "plan.follower.lookahead", "plan.follower.arc_sample"),
+    *("plan.allocation.wall_cost", "plan.allocation.parked_cost", "plan.right_of_way.meeting"),
+)
+COARSEST = 1.0  # [m], cells that could still show a door
+FARTHEST_BEAM = 1000.0  # [m]
+MOST_BEAMS = 20_000  # of one scan, each cast through all walls
+DEAREST = 255  # what a metre of way may count as
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class LaserExploration(ResultBase, LaserExploreResult):
+    """What `explore` gives with lasers: the scores of all runs, and the first run in full."""
+
+    def lines(self) -> list[str]:
+        return LaserExploreResult.lines(self)
+
+    def headline(self) -> Rows:
+        head = ("seed", "finished", "steps", "area mapped", "map error [m]", "trajectory RMSE [m]", "collisions")
+        rows = [
+            (r.seed, r.finished, r.steps, r.area_mapped, r.map_error, r.trajectory_rmse, r.collisions)
+            for r in self.runs
+        ]
+        return head, rows
+
+    def write_into(self, folder: Path) -> None:
+        """runs.csv, metrics.json, the first run's logs, map and figures, report.html."""
+        from ..io.exploration import write_laser_runs  # noqa: PLC0415
+        from ..report.laser_exploration import write_laser_exploration  # noqa: PLC0415  (figures cost a second)
+
+        write_laser_runs(folder, self.runs, self.metrics, self.first)
+        write_laser_exploration(folder, self)
+
+    def draw(self, target: "Target") -> None:
+        from ..report.laser_exploration_figures import draw_map  # noqa: PLC0415
+
+        draw_map(target, self.first)
+
+
+def explore_laser(name: str, scenario: LaserScenarioConfig, options: ExploreOptions) -> LaserExploration:
+    """Explorations of the laser world `scenario`, called `name`.
+
+    noise: a factor on the errors of odometry, calibrated being 1. Raises UsageError, ConfigError, ReaderError,
+    DataError or EstimateError; nothing is written then.
+    """
+    if options.association is not None:
+        raise UsageError("--association: a laser world has no landmarks whose identities could be known or not")
+    planner = "coverage" if options.planner is None else options.planner
+    factor = _factor(options.noise)
+    cfg = load(LaserMissionConfig, options.config)
+    expect_positive(cfg, str(options.config), *LASER_POSITIVE)
+    check_magnitudes(cfg, str(options.config))
+    _check_sizes(cfg, str(options.config))
+    cfg = with_odometry_noise(cfg, factor)
+    place = make_place(scenario, options.robots, options.seed)
+    for key, cell in (("plan.resolution", cfg.plan.resolution), ("map_resolution", cfg.map_resolution)):
+        check_cells(key, place.lower, place.upper, cell)
+    kills = kills_of(options.kill or {}, len(place.starts))
+    mission = LaserMission(scenario, options.robots, planner, _end(options.until), kills, options.drop, cfg)
+    find_planner(planner, "laser")
+
+    def mapped_so_far(step: int, explored: float) -> None:
+        del step
+        options.on_progress("the first run: area mapped", explored, 1.0)
+
+    return options.explore(
+        partial(explore_laser_once, mission),
+        partial(explore_laser_many, mission),
+        partial(LaserExploration, name, mission, options.seed, factor),
+        ours=is_built_in(planner, "laser") and not isinstance(scenario.walls, str),
+        on_progress=mapped_so_far,
+    )
+
+
+def _check_sizes(cfg: LaserMissionConfig, where: str) -> None:
+    """Raises ConfigError for cells coarser, scans longer or ways dearer than planning can use."""
+    limits = (
+        ("plan.resolution", cfg.plan.resolution, COARSEST),
+        ("map_resolution", cfg.map_resolution, COARSEST),
+        ("plan.allocation.wall_cost", cfg.plan.allocation.wall_cost, DEAREST),
+        ("plan.allocation.parked_cost", cfg.plan.allocation.parked_cost, DEAREST),
+        ("robots.scanner.far", cfg.robots.scanner.far, FARTHEST_BEAM),
+        ("robots.scanner.beams", cfg.robots.scanner.beams, MOST_BEAMS),
+    )
+    out_of_range = [f"{key}: expected at most {most:g}, found {value:g}" for key, value, most in limits if value > most]
+    if out_of_range:
+        raise ConfigError(f"{where}: {'; '.join(out_of_range)}")
+
+
+def _factor(noise: str | float) -> float:
+    if noise == "calibrated":
+        return 1.0
+    if noise == "printed":
+        raise UsageError(
+            "--noise printed: the paper prints noise of landmark worlds alone; give calibrated or a factor on odometry"
+        )
+    return factor_of(noise, "calibrated")
+
+
+def _end(until: str | int) -> str | int:
+    if until == "landmarks":
+        raise UsageError("--until landmarks: a laser world has none; give field or a number of steps")
+    return end_of(until, "field")
+
 
 NOISE = {"printed": 1.0, "calibrated": CALIBRATED}
 POSITIVE = (

@@ -1,4 +1,4 @@
-"""`fuse`: saved local maps of several runs become one map."""
+"""`fuse` of laser results: the graphs of all their robots woven into one map."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -7,18 +7,73 @@ from typing import Any
 
 from ..core.config import load
 from ..core.errors import DataError, ReaderError, UsageError
-from ..core.names import in_order
+from ..core.findings import Finding
+from ..core.names import in_order, robot_name
 from ..core.paths import AnyConfig, path_arguments
 from ..core.workers import Progress, no_progress, one_blas_thread
 from ..fusion.config import FuseConfig
 from ..fusion.join import fuse as join_maps
 from ..io.directory import check_target
+from ..io.laser_state import holds_state, laser_homes, read_laser_states
 from ..io.local_map import read_local_map
 from ..landmarks.landmark_map import LocalMap
-from .fuse_laser import are_laser_results, fuse_laser
+from ..laser.laser_map import LaserMap
 from .in_memory import Truths, decisions_of_argument, result_folders, truth_files
-from .laser_result import LaserResult
+from .laser_result import DecisionsGiven, LaserResult, same_logs, woven_result
+from .map_laser import LaserMapConfig
 from .team import TeamResult, Watch, team_result
+
+
+def are_laser_results(folders: Sequence[Path]) -> bool:
+    """Whether these are results of laser logs; raises DataError where some are and others are not."""
+    laser = [holds_state(folder) or bool(laser_homes(folder)) for folder in folders]
+    if any(laser) and not all(laser):
+        one, other = folders[laser.index(True)], folders[laser.index(False)]
+        raise DataError(f"{one} is a result of laser logs and {other} is none: only results of one kind are fused")
+    return all(laser)
+
+
+def fuse_laser(
+    folders: Sequence[Path],
+    names: Sequence[str],
+    *,
+    config: AnyConfig | None,
+    seed: int,
+    truth: Sequence[Path],
+    decisions: DecisionsGiven | None,
+    on_progress: Progress,
+) -> LaserResult:
+    """One result of all robots of `folders`, called NAME/robotK; a log that several hold counts once and is told."""
+    cfg = load(LaserMapConfig, config).laser
+    cfg.check()
+    maps: list[LaserMap] = []
+    for k, (folder, name) in enumerate(zip(folders, names, strict=True)):
+        on_progress("reading", k, len(folders))
+        maps += [
+            _renamed_laser(local_map, f"{name}/{robot_name(local_map.robot)}")
+            for local_map in read_laser_states(folder).maps
+        ]
+    findings = []
+    while (twice := same_logs(maps)) is not None:
+        first, again = twice
+        maps = [local_map for local_map in maps if local_map is not again]
+        findings.append(Finding("log-twice", again.robot, value=first.robot, action="it counts once"))
+    if config is None:
+        cfg = replace(cfg, resolution=maps[0].grid.resolution)
+    return woven_result(
+        maps,
+        cfg,
+        seed=seed,
+        truth=truth,
+        findings=findings,
+        decisions=decisions,
+        on_progress=on_progress,
+    )
+
+
+def _renamed_laser(local_map: LaserMap, robot: str) -> LaserMap:
+    graph = None if local_map.graph is None else replace(local_map.graph, robot=robot)
+    return replace(local_map, robot=robot, graph=graph)
 
 
 @path_arguments

@@ -14,7 +14,7 @@ from ..core.errors import EstimateError, UsageError
 from ..core.names import in_order
 from ..io.directory import check_target
 from ..live.transport import LISTENING
-from .simulate_landmarks import simulate_landmarks
+from .simulate import simulate_landmarks
 
 Say = Callable[[str], None]
 MINUTES = 4.0  # [min] of driving among landmarks that are simulated

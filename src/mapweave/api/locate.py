@@ -1,5 +1,6 @@
-"""Where every robot of a swarm is, from who sees whom in which direction."""
+"""Known places and distances as people write them."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -22,16 +23,50 @@ from ..io.table import Columns, Table, columns_of, table_of
 from ..io.team_bearings import read_team_bearings
 from ..swarm.config import Method, SwarmConfig
 from ..swarm.locate import locate as locate_network
-from ..swarm.moving.drive import smooth_driving
 from ..swarm.moving.result import SwarmTrack, TrackConfig
 from ..swarm.moving.smooth import filtered as follow_filtered
-from ..swarm.moving.smooth import smooth
+from ..swarm.moving.smooth import smooth, smooth_driving
 from ..swarm.network import BearingNetwork
 from ..swarm.posterior import chi2_warnings
 from ..swarm.result import SwarmEstimate
-from .located import Located, Settings, standing_swarm
-from .moving_result import Moved
-from .swarm_input import Place, SwarmInput, is_team_log, prepare, read_truth
+from .located import Located, Moved, Place, Settings, SwarmInput, is_team_log, prepare, read_truth, standing_swarm
+
+
+def parse_anchors(words: Sequence[str] | None) -> dict[str, tuple[float, ...]]:
+    """`a=0,0` (or three coordinates) each; raises UsageError where one does not parse or a robot stands twice."""
+    known: dict[str, tuple[float, ...]] = {}
+    for word in words or ():
+        name, _, rest = word.rpartition("=")
+        numbers = _numbers(rest)
+        if not name.strip() or numbers is None or len(numbers) not in {2, 3}:
+            raise UsageError(f"--anchor {word}: expected ID=x,y or ID=x,y,z in metres, such as a=0,0")
+        if name.strip() in known:
+            raise UsageError(f"--anchor {word}: robot {name.strip()} is given twice")
+        known[name.strip()] = numbers
+    return known
+
+
+def parse_distances(words: Sequence[str] | None) -> list[tuple[str, str, float]]:
+    """`i,j=10` each; raises UsageError where one does not parse or is not positive."""
+    apart = []
+    for word in words or ():
+        pair, _, rest = word.rpartition("=")
+        names, numbers = [name.strip() for name in pair.split(",")], _numbers(rest)
+        if len(names) != 2 or not all(names) or numbers is None or len(numbers) != 1 or numbers[0] <= 0.0:
+            raise UsageError(f"--distance {word}: expected I,J=D with D metres above 0, such as a,b=10")
+        if names[0] == names[1]:
+            raise UsageError(f"--distance {word}: the two robots are the same")
+        apart.append((names[0], names[1], numbers[0]))
+    return apart
+
+
+def _numbers(text: str) -> tuple[float, ...] | None:
+    try:
+        numbers = tuple(float(word) for word in text.split(","))
+    except ValueError:
+        return None
+    return numbers if all(math.isfinite(v) for v in numbers) else None
+
 
 MANY = 20_000  # robots beyond which covariances are left out unless asked for
 

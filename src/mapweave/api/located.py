@@ -1,26 +1,176 @@
-"""What `locate` found: how it was asked, what it read and left out, and where robots that stand still are."""
+"""What `locate` was given, made ready, and what it found: of robots that stand still, and of robots that move."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
+from ..core.bearings import BearingTable, parse_angle
+from ..core.errors import DataError, UsageError
 from ..core.version import __version__
 from ..evaluation.swarm import StandingScore, StandingSwarm, SwarmScore
 from ..io.directory import write_json
 from ..io.positions import track_files, write_network, write_positions, write_track
-from ..io.sightings import SwarmTruth
-from ..io.table import write_table
+from ..io.sightings import Dropped, SwarmTruth, read_sightings, read_swarm_truth
+from ..io.table import Table, write_table
+from ..io.team_bearings import read_team_truth
 from ..report.result import ResultBase
 from ..report.style import Target
-from ..report.swarm import NetworkStory, write_network_report
-from ..report.swarm_figures import network_figure
+from ..report.swarm import MovedStory, NetworkStory, write_moved_report, write_network_report
+from ..report.swarm_figures import network_figure, tracks_figure
 from ..swarm.config import SwarmConfig
-from ..swarm.network import BearingNetwork
-from ..swarm.result import SwarmEstimate
-from .swarm_input import SwarmInput
+from ..swarm.moving.result import SwarmTrack
+from ..swarm.network import DEFAULT_SIGMA, BearingNetwork, Distance, contradictions, copies, shares_an_axis
+from ..swarm.posterior import chi2_warnings, share_warnings
+from ..swarm.result import SwarmEstimate, SwarmStatus
+
+Place = Sequence[float] | Float[np.ndarray, " d"]
+
+
+@dataclass(frozen=True, slots=True)
+class SwarmInput:
+    """Sightings made ready. table: every sigma filled in; anchors, distances: by index; warnings: said so far."""
+
+    source: str
+    table: BearingTable
+    anchors: Mapping[int, Float[np.ndarray, " d"]]
+    distances: tuple[Distance, ...]
+    sigma_source: str
+    dropped: tuple[Dropped, ...] = ()
+    warnings: tuple[str, ...] = field(default=())
+
+    @property
+    def sigma(self) -> float:
+        """The usual standard deviation [rad]."""
+        return float(np.median(self.table.sigma))
+
+    def network(self) -> BearingNetwork:
+        """All sightings at once, stamps forgotten."""
+        table = self.table
+        bearing = table.bearing() if table.dim == 2 else table.direction
+        return BearingNetwork(
+            table.ids,
+            table.dim,
+            table.observer.astype(np.intp),
+            table.target.astype(np.intp),
+            bearing,
+            table.sigma,
+            self.anchors,
+            self.distances,
+            table.axis,
+        )
+
+
+def prepare(
+    source: Path | str | BearingTable | Table,
+    *,
+    anchors: Mapping[str, Place],
+    dim: int | None,
+    sigma: float | str | None,
+    distances: Sequence[tuple[str, str, float]],
+    axis: bool | None,
+    until: float | None = None,
+) -> SwarmInput:
+    """The sightings of `source` with the noise, axes and known places filled in.
+
+    Raises ReaderError for a file that does not parse, DataError for an unknown robot or when nothing is left,
+    UsageError for options that make no sense together.
+    """
+    warnings: list[str] = []
+    dropped: tuple[Dropped, ...] = ()
+    lines: Sequence[int] | None = None
+    if isinstance(source, BearingTable):
+        table, name = source, "sightings"
+        if dim is not None and table.dim != dim:
+            raise UsageError(f"--dim {dim}: the sightings are of {table.dim} dimensions")
+    else:
+        log = read_sightings(source if isinstance(source, Table) else Path(source), dim=dim)
+        table, name, dropped, lines = log.table, log.source, log.dropped, log.lines
+        warnings += log.warnings
+    if until is not None:
+        if table.t is None:
+            raise UsageError("--until: the sightings bear no time stamps")
+        early = table.t < table.t.min() + until
+        lines = None if lines is None else [lines[k] for k in np.flatnonzero(early).tolist()]
+        table = table.rows(early)
+    filled, sigma_source = _filled(table, sigma)
+    table = BearingTable(table.ids, table.observer, table.target, table.direction, filled, table.t, axis is not False)
+    if axis is None and not warnings and not shares_an_axis(table, filled):
+        if table.dim == 3:
+            raise DataError(f"{name}: mutual sightings do not point at each other; in space robots need common axes")
+        table = BearingTable(table.ids, table.observer, table.target, table.direction, filled, table.t, axis=False)
+        warnings.append(
+            "mutual sightings do not point at each other: no common axis, so every robot's heading is estimated"
+        )
+    at = np.arange(1, len(table.observer) + 1) if lines is None else np.asarray(lines)
+    again = copies(table, table.sigma)
+    if again.any():
+        dropped += _left_out(table, at, again, "copy of another row")
+        warnings.append(f"{int(again.sum())} rows are copies of other rows, to the last digit: each counts once")
+        table, at = table.rows(~again), at[~again]
+    bad = contradictions(table, table.sigma)
+    if bad.any():
+        dropped += _left_out(table, at, bad, "contradicts another row")
+        warnings.append(f"{int(bad.sum())} rows contradict another row of the same robots and were left out")
+        table = table.rows(~bad)
+        if not len(table.observer):
+            raise DataError(f"{name}: no sightings are left: all contradict each other")
+    known, apart = _known(name, table, anchors, distances)
+    return SwarmInput(name, table, known, apart, sigma_source, dropped, tuple(warnings))
+
+
+def _left_out(table: BearingTable, line: np.ndarray, rows: np.ndarray, reason: str) -> tuple[Dropped, ...]:
+    """The rows (mask), each with the line it stands at."""
+    return tuple(
+        Dropped(int(line[k]), table.ids[table.observer[k]], table.ids[table.target[k]], reason)
+        for k in np.flatnonzero(rows).tolist()
+    )
+
+
+def read_truth(given: Path | Table) -> SwarmTruth:
+    """The true places or poses of robots: a table `id,x,y[,z][,t]`, or the folder or zip of a landmark log."""
+    return read_team_truth(given) if isinstance(given, Path) and is_team_log(given) else read_swarm_truth(given)
+
+
+def is_team_log(path: Path) -> bool:
+    """Whether `path` is what a landmark log comes in: a folder or a zip."""
+    return path.is_dir() or path.suffix.lower() == ".zip"
+
+
+def _filled(table: BearingTable, sigma: float | str | None) -> tuple[Float[np.ndarray, " m"], str]:
+    """A standard deviation [rad] for every row, and where it comes from; an option wins over the file."""
+    if sigma is not None:
+        value = parse_angle(sigma) if isinstance(sigma, str) else float(sigma)
+        return np.full(len(table.sigma), value), "option"
+    missing = np.isnan(table.sigma)
+    if not missing.any():
+        return table.sigma.copy(), "file"
+    return np.where(missing, DEFAULT_SIGMA, table.sigma), "default" if missing.all() else "file, default where empty"
+
+
+def _known(
+    name: str, table: BearingTable, anchors: Mapping[str, Place], distances: Sequence[tuple[str, str, float]]
+) -> tuple[dict[int, Float[np.ndarray, " d"]], tuple[Distance, ...]]:
+    place = {robot: k for k, robot in enumerate(table.ids)}
+
+    def index(robot: str, what: str) -> int:
+        if robot not in place:
+            some = ", ".join(table.ids[:5]) + (", .." if len(table.ids) > 5 else "")
+            raise DataError(f"{name}: {what} {robot!r} never appears; the robots are {some}")
+        return place[robot]
+
+    known = {}
+    for robot, where in anchors.items():
+        p = np.asarray(where, dtype=np.float64)
+        if p.shape != (table.dim,) or not np.isfinite(p).all():
+            raise UsageError(f"--anchor {robot}: expected {table.dim} finite coordinates, found {p.tolist()}")
+        known[index(robot, "anchor")] = p
+    apart = tuple(Distance(index(a, "robot"), index(b, "robot"), float(d)) for a, b, d in distances)
+    return known, apart
+
 
 LISTED = 1000  # dropped rows named in metrics.json
 NO_SCORE = {"rmse": None, "crlb_rmse": None, "rmse_over_crlb": None, "nees_per_dof": None}
@@ -230,3 +380,121 @@ def standing_swarm(net: BearingNetwork, estimate: SwarmEstimate) -> StandingSwar
         joint,
         float(np.median(net.sigma)),
     )
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Moved(ResultBase):
+    """What `locate` gives for robots that move: a trajectory each, with its covariances.
+
+    truth: by robot index, the true positions at the trajectory's stamps.
+    """
+
+    given: SwarmInput
+    settings: Settings
+    track: SwarmTrack
+    score: SwarmScore | None
+    truth: Mapping[int, Float[np.ndarray, "k d"]]
+
+    @property
+    def reliable(self) -> bool:
+        """Whether the smoothing converged, and enough sightings agree with it as `[swarm.verdict]` asks."""
+        return self.track.converged and not self._doubts()
+
+    def _doubts(self) -> list[str]:
+        t = self.track
+        doubts = share_warnings(t.outlier)
+        misfit = chi2_warnings(t.chi2, t.dof)
+        if misfit and t.dof > 0:
+            ratio = t.chi2 / t.dof
+            misfit = [f"residuals are {ratio:.3g} times what sigma and the motion model say: covariances are too small"]
+        return doubts + misfit
+
+    @property
+    def not_localisable(self) -> tuple[str, ...]:
+        """Robots without a track, and those whose positions are less sure than the swarm is wide."""
+        return tuple(name for k, name in enumerate(self.given.table.ids) if not self.track.localisable(k))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        warnings = [*self.given.warnings, *self.track.warnings]
+        if not self.track.converged:
+            warnings.append("the smoothing did not converge")
+        else:
+            warnings += self._doubts()
+        return tuple(warnings)
+
+    @property
+    def metrics(self) -> dict[str, Any]:
+        """`metrics.json`; keys as the contract names them."""
+        t = self.track
+        names = self.given.table.ids
+        return {
+            **head(self.given, self.settings),
+            **(NO_SCORE if self.score is None else self.score.as_json()),
+            "iterations": t.iterations,
+            "status": str(SwarmStatus.CONVERGED if t.converged else SwarmStatus.ITERATION_LIMIT),
+            "chi2": t.chi2,
+            "dof": t.dof,
+            "gauge": t.gauge,
+            "null_space": None,
+            "not_localisable": list(self.not_localisable),
+            "reliable": self.reliable,
+            "outliers": int(t.outlier.sum()),
+            "moving": True,
+            "odometry_scale": None
+            if t.scale is None
+            else {names[k]: [v, w] for k, (v, w) in sorted(t.scale.items()) if (v, w) != (1.0, 1.0)},
+            "warnings": list(self.warnings),
+            "timing": self.settings.timing,
+        }
+
+    def lines(self) -> list[str]:
+        """A summary for people."""
+        t = self.track
+        knots = sum(len(one.t) for one in t.tracks.values())
+        lines = [
+            (
+                f"{len(self.given.table.ids)} moving robots in {self.given.table.dim}D, "
+                f"{len(self.given.table.observer)} sightings, {sigma_text(self.given)}, "
+                f"{len(self.given.anchors)} anchors: {knots} positions, {t.method}, {t.iterations} iterations"
+            )
+        ]
+        lines += dropped_lines(self.given)
+        if t.gauge:
+            lines.append(t.gauge)
+        if self.not_localisable:
+            lost = self.not_localisable
+            lines.append(f"{len(lost)} robots cannot be located: {', '.join(lost[:20])}")
+        lines.append(
+            f"chi-square {t.chi2:.4g} with {t.dof} degrees of freedom, {int(t.outlier.sum())} outliers: "
+            f"{'reliable' if self.reliable else 'NOT reliable'}"
+        )
+        if self.score is not None:
+            lines += self.score.lines()
+        return [*lines, *(f"warning: {text}" for text in self.warnings)]
+
+    def draw(self, target: Target) -> None:
+        """The robots in the plane."""
+        tracks_figure(target, self.given.table.ids, self.track, self.given.anchors, dict(self.truth))
+
+    def write_into(self, out: Path) -> None:
+        """trajectories/ID.csv, positions.csv (each robot's last), metrics.json, report.html and figures/."""
+        self.write_data(out)
+        story = MovedStory(
+            self.given.table.ids, self.track, self.given.anchors, self.truth if self.score is not None else {}
+        )
+        write_moved_report(out, story, self.lines(), self.metrics)
+
+    def write_data(self, out: Path) -> None:
+        table, tracks = self.given.table, self.track.tracks
+        n, d = len(table.ids), table.dim
+        last, cov, located = np.full((n, d), np.nan), np.full((n, d, d), np.nan), np.zeros(n, dtype=bool)
+        lost, files = set(self.not_localisable), track_files(table.ids)
+        for k, one in tracks.items():
+            write_track(out / "trajectories" / files[table.ids[k]], one.t, one.position, one.cov, one.heading)
+            last[k], located[k] = one.position[-1], table.ids[k] not in lost
+            if one.cov is not None:
+                cov[k] = one.cov[-1]
+        seen, wild = counts(n, table.observer, table.target, self.track.outlier)
+        write_positions(out / "positions.csv", table.ids, last, cov, located, seen, wild)
+        write_rest(out, self.given, self.metrics)

@@ -1,14 +1,15 @@
-"""One map from the logs of a team: which kind of log it is decides who maps."""
+"""One map from the logs of a team: which kind of log it is decides who maps, and an executor where."""
 
-from collections.abc import Mapping, Sequence
+import logging
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol, cast, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, cast, runtime_checkable
 
-from ..core.errors import DataError, UsageError, VerdictError
+from ..core.errors import DataError, EstimateError, UsageError, VerdictError
 from ..core.findings import verdict_line
 from ..core.landmark_log import LandmarkLog
 from ..core.laser_log import LaserLog
@@ -19,11 +20,79 @@ from ..io.kept import kept_parts
 from ..io.laser_logs import is_bag
 from ..io.table import Columns, columns_of
 from ..io.unknown import not_known
-from .cluster import cluster_executor
 from .in_memory import Truths, decisions_of_argument, truth_files
 from .map_options import LANDMARK_METHODS, LaserOptions, MapOptions, expect_there, key_of
 from .read import Log, parts_of
 from .result import MapResult
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from concurrent.futures import Future
+
+
+WAIT = 10.0  # [s] for the scheduler, and for a first worker
+
+
+class ClusterExecutor(Executor):
+    """Tasks on the workers of a Dask client. What is lost with its worker is tried elsewhere by Dask itself."""
+
+    def __init__(self, client: Any) -> None:
+        self.executor = client.get_executor(pure=False)
+
+    def submit(self, fn: "Callable[..., Any]", /, *args: Any, **kwargs: Any) -> "Future[Any]":
+        future: Future[Any] = self.executor.submit(fn, *args, **kwargs)
+        return future
+
+
+@contextmanager
+def cluster_executor(address: str, executor: Executor | None) -> Iterator[Executor]:
+    """An executor on the cluster whose scheduler is at `address` (`tcp://host:8786`), closed at the end.
+
+    Raises UsageError where an `executor` is given too, Dask is not installed, nobody answers there, or no worker is
+    there; EstimateError where the workers are lost on the way.
+    """
+    if executor is not None:
+        raise UsageError("--cluster: expected it or an executor, found both")
+    try:
+        from distributed import Client  # noqa: PLC0415  (an extra)
+        from distributed.client import FutureCancelledError  # noqa: PLC0415
+        from distributed.scheduler import KilledWorker  # noqa: PLC0415
+    except ImportError:
+        raise UsageError("--cluster: Dask is not installed: pip install 'mapweave[cluster]'") from None
+    with _quiet():
+        try:
+            client = Client(address, timeout=WAIT, set_as_default=False)
+        except (OSError, TimeoutError, ValueError, TypeError) as error:
+            raise UsageError(f"--cluster {address}: no Dask scheduler answers there ({_why(error)})") from None
+        try:
+            client.wait_for_workers(1, timeout=WAIT)
+        except TimeoutError:
+            client.close()
+            raise UsageError(f"--cluster {address}: the scheduler there has no worker") from None
+        try:
+            yield ClusterExecutor(client)
+        except (KilledWorker, FutureCancelledError, OSError) as error:
+            if isinstance(error, OSError) and error.filename is not None:  # a file of ours, not the network
+                raise
+            raise EstimateError(f"--cluster {address}: its workers were lost: {_why(error)}") from None
+        finally:
+            client.close()
+
+
+def _why(error: Exception) -> str:
+    return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Within, Dask's own log lines are not printed: what matters comes as one error."""
+    log = logging.getLogger("distributed")
+    before = log.level
+    log.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
 
 
 @runtime_checkable

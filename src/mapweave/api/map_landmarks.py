@@ -1,19 +1,24 @@
-"""`map` of landmark logs: EKF-SLAM for every robot in its own frame, then all local maps fused."""
+"""`map` of landmark logs: EKF-SLAM for every robot in its own frame, then all fused; `--online` meanwhile."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
 
+import numpy as np
+
+from ..core import se2
 from ..core.config import config, load
 from ..core.errors import DataError, UsageError
 from ..core.findings import Finding, unused_by_all
 from ..core.landmark_log import LandmarkLog
 from ..core.names import in_order, robot_key, robot_name
-from ..core.workers import worker_pool
+from ..core.records import Track
+from ..core.workers import Progress, worker_pool
 from ..fusion.compared_logs import MirrorConfig, mirror_images, unmirrored, with_copies_marked
 from ..fusion.config import START_TOLERANCE, FuseConfig
 from ..fusion.join import fuse
+from ..fusion.online import OnlineFuser
 from ..fusion.result import Fusion, placed_by_sightings, tie_by_starts
 from ..io.kept import parts
 from ..io.landmark_logs import is_landmark_log, landmark_logs_of, read_landmark_logs
@@ -22,21 +27,150 @@ from ..io.table import Columns
 from ..io.team_map import read_calibration
 from ..landmarks.agreement import AgreementConfig, sifted, with_wheels_checked
 from ..landmarks.config import EkfSlamConfig
-from ..landmarks.landmark_map import LocalMap
+from ..landmarks.landmark_map import LandmarkMap, LocalMap
 from ..landmarks.mapping import Growth, grow, without_impossible
+from ..solve import SingularError
 from ..team.clocks import of_another_time, on_camera_clock
 from ..team.config import ONLINE_FAR, SMOOTHING_SOFTEN, OnlineConfig, SmoothingConfig
 from ..team.kidnapped import KidnapConfig, cut_kidnapped, with_stretches
 from ..team.known import PlacePriors, framed
 from ..team.mixed import regained
-from ..team.online import OnlineMap, OnlineRun
+from ..team.online import OnlineMap, OnlineRun, OnlineStep, OnlineTeam
 from ..team.relative_frame import PlacingConfig
 from ..team.smooth import Smoothed, smooth_on_one_clock
 from ..team.team_map import TeamMap, at_every_stamp, in_first_frame, with_further_rooms
 from .map_options import LANDMARK_METHODS, MapOptions
-from .online import fuse_online, times_of
-from .smooth_online import closed, closing_start, smooth_online
-from .team import TeamResult, Watch, team_maps, team_result
+from .team import TeamResult, Watch, carried, fuse_online, team_maps, team_result, times_of
+
+NO_STEP = OnlineStep(0, 0, 0, 0.0)
+FULL = 3  # landmarks in common by which two maps are laid over each other
+
+
+def smooth_online(
+    logs: Sequence[LandmarkLog],
+    grown: Sequence[Growth],
+    fusing: FuseConfig,
+    smoothing: SmoothingConfig,
+    cfg: OnlineConfig,
+    calibration: Mapping[str, Mapping[str, tuple[float, float]]],
+    looks: Sequence[float],
+    on_progress: Progress,
+) -> OnlineRun:
+    """All rows taken in, a step after the other in order of time.
+
+    grown: each log's maps at `looks` [s] with their poses; the filters' own time is not in that of the steps.
+    """
+    wheels = [log for log in logs if log.odometry is not None and len(log)]
+    first, last = min(log.span[0] for log in logs if len(log)), max(log.span[1] for log in logs if len(log))
+    if not wheels:
+        nothing = np.zeros(0)
+        return OnlineRun(None, cfg.step, nothing, nothing, nothing, 0, (), 0, ())
+    own = {log.robot: g.filtered for log, g in zip(logs, grown, strict=True)}
+    team = OnlineTeam(wheels, own, smoothing, cfg, calibration)
+    fuser = OnlineFuser(fusing, {log.robot: log.source for log in logs})
+    seconds, lag, linearised, laid_out, growth = [], [], [], [], list[OnlineMap]()
+    renewed, free = 0, first
+    steps = np.arange(first + cfg.step, last + cfg.step, cfg.step)
+    next_look = 0
+    for k, stamp in enumerate(steps):
+        t = min(float(stamp), last)
+        began = perf_counter()
+        looking = next_look < len(looks) and t >= looks[next_look]
+        step = NO_STEP
+        try:
+            if looking:
+                fuser = fuser.update(*[m for m in (g.maps[next_look] for g in grown) if m is not None])
+                next_look += 1
+                if _adopted(team, t, fuser):
+                    laid_out.append(round(t - first, 3))
+                on_progress("smoothing online", k, len(steps))
+            step = team.advance(t)
+        except SingularError:  # too little is known yet of something: it is laid out anew at the next look
+            team.forget()
+        seconds.append(perf_counter() - began)
+        free = max(free, t) + seconds[-1]
+        lag.append(free - (t - cfg.step))
+        linearised.append(step.linearised)
+        renewed += step.renewed
+        if team.members and looking:
+            growth.append(OnlineMap(t - first, len(team.members), team.landmarks))
+    team.update_poses()
+    on_progress("smoothing online", len(steps), len(steps))
+    return OnlineRun(
+        team, cfg.step, np.array(seconds), np.array(lag), np.array(linearised, float), renewed, tuple(laid_out),
+        len(team.stretches), tuple(growth), waited=tuple(log.robot for log in logs if log.odometry is None),
+    )  # fmt: skip
+
+
+def _adopted(team: OnlineTeam, t: float, fuser: OnlineFuser) -> bool:
+    """Whether the filters' fused map held robots, landmarks or labels that were new."""
+    fused = fuser.largest
+    if fused is None or not len(fused.map):
+        return False
+    factor = {d.robot: d.variance_factor or 1.0 for d in fuser.fusion.decisions}
+    ways = {
+        r: carried(fuser.latest[r].track, fused.frames[r], fused.frame_cov[r], fused.scales.get(r, 1.0), factor[r])
+        for r in fused.robots
+    }
+    return team.adopt(t, fused.robots, fused.map, ways, fuser.fusion.labels)
+
+
+def closing_start(run: OnlineRun, filters: TeamMap, far: float) -> TeamMap:
+    """The map as it stood when the logs ended, in the frame of `filters`, which has what was not smoothed yet.
+
+    far: [m] root mean square between the landmarks of both, from which it is `filters`.
+    """
+    team = run.team
+    if team is None or not team.members:
+        return filters
+    now, start = team.landmarks, filters.landmarks
+    both = [name for name in start.ids if name in now.ids]
+    if len(both) < FULL:
+        return filters
+    T = se2.align(now.select(both).mean, start.select(both).mean)
+    off = se2.act(T, now.select(both).mean) - start.select(both).mean
+    if not np.square(off).sum(axis=1).mean() < far**2:
+        return filters
+    ways = {r: team.way(r) for r in team.members if r in filters.robots}
+    smoothed = {r: _within(filters.tracks[r], Track(way.t, se2.compose(T, way.pose))) for r, way in ways.items()}
+    tracks = {**filters.tracks, **smoothed}
+    place = dict(zip(now.ids, se2.act(T, now.mean), strict=True))
+    mean = np.array([place.get(name, p) for name, p in zip(start.ids, start.mean, strict=True)])
+    head = filters.robots[0]
+    if head in ways:  # the frame is its first pose
+        back = se2.inverse(tracks[head].pose[0])
+        tracks = {r: Track(track.t, se2.compose(back, track.pose)) for r, track in tracks.items()}
+        mean = se2.act(back, mean)
+    return replace(filters, landmarks=LandmarkMap(start.ids, mean, start.cov, start.frame), tracks=tracks)
+
+
+def _within(whole: Track, way: Track) -> Track:
+    """`way`, and `whole` before and after: of a robot that was put down elsewhere one stretch alone is smoothed."""
+    before, after = whole.t < way.t[0], whole.t > way.t[-1]
+    parts = [(whole.t[before], whole.pose[before]), (way.t, way.pose), (whole.t[after], whole.pose[after])]
+    t, pose = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return Track(t, pose)
+
+
+def closed(run: OnlineRun, start: TeamMap, done: Smoothed, seconds: float) -> OnlineRun:
+    """`run` with what closing it took and moved: both maps laid over each other by their landmarks."""
+    a, b = start.landmarks, done.map.landmarks
+    if run.team is None or done.refused or len(a) < FULL:
+        return replace(run, closing=seconds)
+    T = se2.align(a.mean, b.select(a.ids).mean)
+    off = se2.act(T, a.mean) - b.select(a.ids).mean
+    ways = []
+    for robot in run.team.members:
+        if robot in start.tracks and robot in done.map.tracks:
+            before, after = start.tracks[robot], done.map.tracks[robot]
+            played = run.team.way(robot).t
+            there = (after.t >= played[0]) & (after.t <= played[-1])
+            was = se2.compose(T, se2.interpolate(after.t[there], before.t, before.pose))
+            ways.append(np.square(was[:, :2] - after.pose[there, :2]).sum(axis=1))
+    ways_moved = float(np.sqrt(np.concatenate(ways).mean())) if ways else None
+    return replace(
+        run, closing=seconds, landmarks_moved=float(np.sqrt(np.square(off).sum(axis=1).mean())), ways_moved=ways_moved
+    )
 
 
 @config

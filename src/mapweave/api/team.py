@@ -10,30 +10,97 @@ import numpy as np
 
 from ..core import se2
 from ..core.findings import Finding, Unused, Verdict, of_robot, verdict, verdict_line
+from ..core.landmark_log import LandmarkLog
 from ..core.names import in_order, robot_key
 from ..core.records import Track
 from ..core.truth import NO_SURVEY, Survey
 from ..core.version import __version__
+from ..core.workers import Progress
 from ..evaluation.consistency import mean_or_none
-from ..evaluation.landmarks import GrowthPoint, find_exchanges
+from ..evaluation.landmarks import GrowthPoint, find_exchanges, growth_point
 from ..evaluation.team import TeamScore, as_json, score_team
+from ..fusion.config import FuseConfig
+from ..fusion.online import OnlineFuser
 from ..fusion.result import Component, Fusion
+from ..io.directory import write_json
+from ..io.local_map import write_local_map
+from ..io.team_map import told_gaps, write_calibration, write_landmark_arrays, write_landmarks, write_tracks
 from ..landmarks.landmark_map import LandmarkMap, LocalMap
+from ..landmarks.mapping import Growth
 from ..report.html import told_list
 from ..report.result import ResultBase, Rows
+from ..report.team import write_team_report
 from ..report.team_figures import TeamStory
 from ..team.online import OnlineMap, OnlineRun
 from ..team.smooth import Smoothed
 from ..team.team_map import TeamMap
-from .evaluate_team import TeamTruth, read_team_truth, team_lines, unscored
-from .online import growth, run_metrics
+from .evaluate import TeamTruth, read_team_truth, team_lines, unscored
 
 if TYPE_CHECKING:
     from ..report.style import Target
-from ..io.directory import write_json
-from ..io.local_map import write_local_map
-from ..io.team_map import told_gaps, write_calibration, write_landmark_arrays, write_landmarks, write_tracks
-from ..report.team import write_team_report
+
+
+def times_of(logs: Sequence[LandmarkLog], every: float) -> list[float]:
+    """When [s] each robot hands over its map: every `every` seconds after the first row of all, before the last."""
+    first, last = _span(logs)
+    return [float(t) for t in np.arange(first + every, last, every)]
+
+
+def fuse_online(
+    logs: Sequence[LandmarkLog],
+    grown: Sequence[Growth],
+    cfg: FuseConfig,
+    times: Sequence[float],
+    on_progress: Progress,
+) -> tuple[Fusion, tuple[OnlineMap, ...]]:
+    """The fusion of all whole maps, and the global map at `times` [s] until then.
+
+    grown: each log's maps at `times`; a robot's map at a time is its filter's by then, and the last is
+    the one that the whole log gives.
+    """
+    first, last = _span(logs)
+    fuser = OnlineFuser(cfg, {log.robot: log.source for log in logs})
+    out = []
+    for k, t in enumerate(times):
+        on_progress("fusing online", k, len(times))
+        fresher = [m for m in (g.maps[k] for g in grown) if m is not None]
+        if fresher:
+            fuser = fuser.update(*fresher)
+        if fuser.largest is not None:
+            out.append(OnlineMap(float(t - first), fuser.tied_in, fuser.largest.map))
+    fuser = OnlineFuser(cfg, fuser.recordings, {g.whole.robot: g.whole for g in grown}).converged()
+    if fuser.largest is not None:
+        out.append(OnlineMap(float(last - first), fuser.tied_in, fuser.largest.map))
+    on_progress("fusing online", len(times), len(times))
+    return fuser.fusion, tuple(out)
+
+
+def _span(logs: Sequence[LandmarkLog]) -> tuple[float, float]:
+    spans = [log.span for log in logs if len(log)]
+    return min(a for a, _ in spans), max(b for _, b in spans)
+
+
+def growth(grown: Sequence[OnlineMap], survey: Survey) -> tuple[GrowthPoint, ...]:
+    """Trace, log-determinant, error and consistency of every online map."""
+    return tuple(growth_point(g.t, g.robots, g.landmarks, survey) for g in grown)
+
+
+def run_metrics(run: OnlineRun, survey: Survey) -> dict[str, Any]:
+    """What `metrics.json` tells of smoothing online, beside timing."""
+    points = growth(run.growth, survey)
+    return {
+        "step": run.step,
+        "steps": len(run.seconds),
+        "stretches": run.stretches,
+        "marginalised": 0,
+        "linearised_per_step": round(float(run.linearised.mean()), 3) if len(run.linearised) else None,
+        "renewed": run.renewed,
+        "laid_out": list(run.laid_out),
+        "landmarks_moved_at_the_end": run.landmarks_moved,
+        "ways_moved_at_the_end": run.ways_moved,
+        "growth": [{"t": p.t, "robots": p.robots, "landmarks": p.landmarks, "landmark_rmse": p.rmse} for p in points],
+    }
+
 
 NOTHING = LandmarkMap((), np.zeros((0, 2)), np.zeros((0, 0)))
 

@@ -8,8 +8,7 @@ from io import TextIOWrapper
 from typing import TYPE_CHECKING
 
 from ..core.version import __version__
-from .help_text import FlowingHelp
-from .terminal import Interruption, warn
+from .terminal import FlowingHelp, Interruption, warn
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

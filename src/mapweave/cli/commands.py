@@ -127,7 +127,7 @@ def _world(of: str, end_error: tuple[float, float], does: str, example: str, *fi
     """The command of a laser world. end_error: of its odometry at the end unless told otherwise [m]."""
     drive = Option(kind=DriveOptions | None, parse=lambda given: (given or DriveOptions()).config(end_error))
     return Command(
-        verb="api.simulate_laser:simulate_laser",
+        verb="api.simulate:simulate_laser",
         does=does,
         example=f"simulate {example}",
         options={"world": Group(of=of, only=(*fields, "drive"), options={"drive": drive}), "seed": SAME_BYTES},
@@ -367,7 +367,7 @@ COMMANDS: dict[str, Command | dict[str, Command]] = {
             ),
             "anchors": Option(
                 kind=Words,
-                parse="api.locate_options:parse_anchors",
+                parse="api.locate:parse_anchors",
                 name="--anchor",
                 help="The known position of a robot, as a=0,0 or a=0,0,0; repeat it for more. With fewer than two only "
                 "the shape is found.",
@@ -380,7 +380,7 @@ COMMANDS: dict[str, Command | dict[str, Command]] = {
             ),
             "distances": Option(
                 kind=Words,
-                parse="api.locate_options:parse_distances",
+                parse="api.locate:parse_distances",
                 default=ABSENT,
                 name="--distance",
                 help="A known distance as i,j=10 in metres, instead of a second anchor.",
@@ -407,7 +407,7 @@ COMMANDS: dict[str, Command | dict[str, Command]] = {
             ),
             "kill": Option(
                 kind=Words,
-                parse="api.explore_options:parse_kills",
+                parse="api.explore:parse_kills",
                 help="A robot that dies, and the step at which it does, as robot2@100.",
             ),
         },
@@ -481,19 +481,19 @@ COMMANDS: dict[str, Command | dict[str, Command]] = {
     },
     "simulate": {
         "landmarks": Command(
-            verb="api.simulate_landmarks:simulate_landmarks",
+            verb="api.simulate:simulate_landmarks",
             does="A team with cameras among landmarks, in the MRCLAM layout.",
             example="simulate landmarks --out team --robots 5",
             said=_simulated,
         ),
         "team": Command(
-            verb="api.simulate_team:simulate_team",
+            verb="api.simulate:simulate_team",
             does="A mixed team: laser robots, camera robots, robots that see robots.",
             example="simulate team --out mixed --minutes 3",
             said=_simulated,
         ),
         "swarm": Command(
-            verb="api.simulate_swarm:simulate_swarm",
+            verb="api.simulate:simulate_swarm",
             does="A swarm of camera robots that see each other.",
             example="simulate swarm --out swarm.csv --robots 36 --sigma 0.5deg",
             options={

@@ -21,7 +21,11 @@ from ..core.errors import UsageError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from cyclopts.help import HelpPanel
+    from rich.console import Console, ConsoleOptions
+
     from ..core.workers import Progress as OnProgress
+
 
 AGAIN = 0.1  # [s] after which an interruption that was swallowed is asked for again
 QUIET = 30.0  # [s] between two lines of progress where there is no terminal
@@ -239,3 +243,23 @@ def until_interrupted() -> "Iterator[Event]":
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+class FlowingHelp:
+    """Cyclopts' own look, with every description as one paragraph."""
+
+    def __call__(self, console: "Console", options: "ConsoleOptions", panel: "HelpPanel") -> None:
+        from cyclopts.help import DefaultFormatter, InlineText
+        from rich.text import Text
+
+        for entry in panel.entries:
+            description = entry.description
+            if isinstance(description, InlineText) and isinstance(description.primary_renderable, Text):
+                description.primary_renderable = Text(" ".join(description.primary_renderable.plain.split()))
+        DefaultFormatter()(console, options, panel)
+
+    def render_usage(self, console: "Console", options: "ConsoleOptions", usage: object) -> None:
+        """The line above all, as Cyclopts has it."""
+        from cyclopts.help import DefaultFormatter
+
+        DefaultFormatter().render_usage(console, options, usage)

@@ -20,8 +20,7 @@ import numpy as np
 from ..core.errors import UsageError
 from ..fusion.handover import pose_in_map
 from .landmarks.belief import Planner
-from .landmarks.config import ExploreConfig
-from .landmarks.scenario import find_scenario, make_field
+from .landmarks.config import ExploreConfig, find_scenario, make_field
 from .landmarks.steering import offered
 from .landmarks.team import Team
 from .planner_interface import find_planner

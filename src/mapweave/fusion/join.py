@@ -24,9 +24,8 @@ from .initial_frames import (
     relabelled,
     widened,
 )
-from .relative import RelativeConfig, fuse_relative
+from .relative import FrameSightings, RelativeConfig, frame_sightings, fuse_relative, sighting_factor
 from .result import APART, Component, Decision, Fusion
-from .robot_sightings import FrameSightings, frame_sightings, sighting_factor
 
 
 def fuse(

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from ..core import se2
 from ..solve import Solution
-from ..solve.block_cholesky import BlockCholesky
+from ..solve.information import BlockCholesky
 from .pose_graph import PoseGraph
 
 HOLDS_ALONE = 1e-6  # share of an edge's covariance that is left over: less, and nothing else tells what it tells

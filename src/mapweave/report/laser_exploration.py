@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from ..exploration.laser.result import LaserExploreResult, refusals
+from ..exploration.laser.experiment import LaserExploreResult, refusals
 from .exploration import seeds_told
 from .exploration_scene import laser_exploration_scene
 from .html import Page

@@ -1,16 +1,21 @@
-"""Pages of results that are no maps: what an installation lacks, and what a robot told its team."""
+"""Pages and pictures that are no reports of maps: installations, live robots, simulated worlds, the page that edits."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float
 
 from .html import Page
-from .style import LANDMARK, MUTED, Target, colour, figure
+from .scene import script
+from .style import LANDMARK, MUTED, TRUTH, Target, as_map, colour, figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
 
 Check = tuple[str, str, bool | None]  # what is looked at, what was found; None: not there, and not needed
 GOOD, BAD = colour(2), colour(5)
@@ -58,3 +63,59 @@ def draw_messages(target: Target, sizes: Sequence[int], heard_by: int) -> None:
         ax.set_xlabel("messages")
         ax.set_ylabel("told in all [kB]")
         ax.set_title(f"all heard by {heard_by} map process{'' if heard_by == 1 else 'es'}")
+
+
+FEW = 20  # trajectories told apart by a legend
+
+
+def draw_world(
+    target: Target,
+    title: str,
+    ways: Mapping[str, Float[np.ndarray, "n 2"]],
+    places: Float[np.ndarray, "m 2"] | None = None,
+    walls: Float[np.ndarray, "w 4"] | None = None,
+    pairs: Sequence[tuple[int, int]] = (),
+) -> None:
+    """True paths [m] by robot, places (landmarks or robots), walls (x0, y0, x1, y1), and who of `places` sees whom."""
+    with figure(target, 7.0, 5.4) as (_, ax):
+        if walls is not None:
+            for x0, y0, x1, y1 in walls.tolist():
+                ax.plot([x0, x1], [y0, y1], color=TRUTH, lw=1.0)
+        if places is not None:
+            for i, j in pairs:
+                ax.plot(*places[[i, j]].T, color=MUTED, lw=0.4, zorder=1)
+            ax.plot(*places.T, "*" if ways else "o", color=TRUTH, ms=5, ls="none", zorder=3)
+        for k, (name, way) in enumerate(ways.items()):
+            ax.plot(*way.T, color=colour(k), lw=0.9, label=name)
+            ax.plot(*way[0], "o", color=colour(k), mfc="white", ms=6)
+        if 0 < len(ways) <= FEW:
+            ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        as_map(ax, title)
+
+
+_BODY = """
+<div id="map"></div>
+<p id="told" role="status">reading the map</p>
+<div class="bar edit"><label id="whole" hidden>map <select id="part"></select></label>
+<label id="other" hidden>lay on it <select id="lay"></select></label><span id="hand" hidden>drag to move, with shift to
+turn <label>by <input id="turn" type="range" min="-180" max="180" step="0.5" value="0"></label>
+<button id="here">it lies here</button></span>
+<button id="undo">undo</button><button id="save">save</button></div>
+<div id="place" class="card" hidden><b></b><span></span><div class="bar">
+<button data-word="together">believe it</button><button data-word="apart">forbid it</button>
+<button data-word="undecided">as the scans say</button></div></div>
+<h2 id="robots" hidden>Robots</h2><table id="pairs" hidden></table>
+<h2>What is doubtful</h2><ul id="findings"></ul>
+"""
+
+
+def editing_page(title: str) -> str:
+    """The whole page; it asks `/state.json` for what it shows and posts to `/decide`, `/undo`, `/save`."""
+    page = Page(title, "Click a line between two places to believe or forbid it; all is solved again at once.")
+    page.parts.append(_BODY)
+    return page.html(f"{script()}{_script()}")
+
+
+@cache
+def _script() -> str:
+    return (files(__package__) / "editing.js").read_text(encoding="utf-8")

@@ -10,6 +10,7 @@ from scipy.optimize import brentq
 
 from ..core import se2
 from ..core.config import config
+from ..core.fixes import Fixes, place_of
 from ..core.laser_log import LaserLog
 from ..core.records import Scan, Track, frozen
 from ..core.se2 import representable_heading
@@ -486,3 +487,24 @@ def walking(
         free = np.hypot(discs[:, k, 0] - robot[:, 0], discs[:, k, 1] - robot[:, 1]) > APART
         discs[:, k, 2] = np.where(free, RADIUS, 0.0)
     return discs, rng.uniform(0.1, 0.7, count)
+
+
+DATUM = np.array([35.7, 139.75, 40.0])
+"""Latitude [deg], longitude [deg], height [m] of the point from which simulated worlds measure east and north."""
+EVERY = 1.0  # [s] from fix to fix
+JUMPS, JUMP = 0.03, 60.0  # share of fixes that lie elsewhere, and sd of how far [m] on either axis
+APART = 150.0  # [m] sd of where a drive begins, on either axis
+
+
+def placed(rng: np.random.Generator) -> Float[np.ndarray, "3"]:
+    """Where a simulated world lies east and north of `DATUM`, and how it is turned."""
+    return np.array([*(APART * rng.standard_normal(2)), rng.uniform(-np.pi, np.pi)])
+
+
+def simulated_fixes(truth: Track, sd: float, rng: np.random.Generator) -> Fixes:
+    """The fixes of a robot that drives along `truth` (east and north of `DATUM`), with `sd` [m] on either axis."""
+    t = np.arange(truth.t[0] + rng.uniform(0.0, EVERY), truth.t[-1], EVERY)
+    xy = se2.interpolate(t, truth.t, truth.pose)[:, :2] + sd * rng.standard_normal((len(t), 2))
+    xy = xy + (rng.random(len(t)) < JUMPS)[:, None] * JUMP * rng.standard_normal((len(t), 2))
+    place = place_of(np.column_stack([xy, np.zeros(len(t))]), DATUM)
+    return Fixes(t, place, np.tile(sd**2 * np.eye(2), (len(t), 1, 1)), topic="/fix")

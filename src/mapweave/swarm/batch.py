@@ -9,8 +9,8 @@ import numpy as np
 from ..solve import GemanMcClure, Pattern, Problem, Solution, SolveConfig, minimise
 from . import factors
 from .config import SWARM_LOOSE, SWARM_NEAREST, SWARM_SELDOM, SwarmConfig
-from .gauge import gauge_pins
 from .network import BearingNetwork
+from .observability import gauge_pins
 from .posterior import posterior
 from .result import SwarmEstimate
 from .start import SwarmStart, prepare

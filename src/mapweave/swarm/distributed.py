@@ -20,19 +20,20 @@ from ..solve import SolveStatus
 from . import bearing
 from .batch import refine
 from .config import SWARM_TOLERANCE, SwarmConfig
-from .headings import (
+from .network import BearingNetwork, components, effective_sigma
+from .posterior import posterior
+from .result import FLOAT, SwarmEstimate, Traffic
+from .start import (
     SWEEPS,
+    SwarmStart,
     beacon_headings,
     headings_at,
     mutual_headings,
     mutual_pairs,
+    prepare,
     resected_headings,
     world_directions,
 )
-from .network import BearingNetwork, components, effective_sigma
-from .posterior import posterior
-from .result import FLOAT, SwarmEstimate, Traffic
-from .start import SwarmStart, prepare
 
 MESSAGES_RELAXATION = 0.95  # share of a Jacobi step that is taken towards what the neighbours say
 MESSAGES_QUIET = 1e-4  # of the usual distance; a linear step below this is not told

@@ -12,13 +12,11 @@ from ..core.gaussian import solve_psd, symmetrise
 from ..core.se2 import wrap_angle
 from .config import SwarmConfig
 from .factors import bearing_factor, width
-from .gauge import gauge_of
-from .headings import headings_at
 from .network import BearingNetwork, components
-from .observability import observe
+from .observability import gauge_of, observe
 from .posterior import chi2_warnings, layout_warnings
 from .result import JointInformation, SwarmEstimate, SwarmStatus
-from .start import linear_pattern, linear_start, prepare
+from .start import headings_at, linear_pattern, linear_start, prepare
 
 Form = Literal["ekf", "iekf", "fej"]
 STEP_TOLERANCE = 1e-9  # [m]; an iterated update ends when no coordinate moves further

@@ -10,11 +10,10 @@ from ..core.gaussian import chi2_quantile
 from ..solve import Factor, Information, Pattern, Problem, SingularError, Solution, SolveStatus
 from . import bearing, factors
 from .config import VERDICT, SwarmConfig, VerdictConfig
-from .gauge import Gauge, gauge_basis, normalise
-from .headings import mutual_pairs
 from .network import BearingNetwork
+from .observability import Gauge, gauge_basis, normalise
 from .result import JointInformation, SwarmEstimate, SwarmStatus, Traffic
-from .start import SwarmStart
+from .start import SwarmStart, mutual_pairs
 
 VERDICT_DOUBT = 1e-3  # probability below which a chi-square is called wrong
 TOO_MANY = 0.25  # share called wrong beyond which nothing does

@@ -19,11 +19,10 @@ from .alternatives import doubts as alternatives
 from .batch import batch, refine
 from .config import ALTERNATIVES_DOUBT, MUTUAL_GATE, SwarmConfig
 from .factors import bearing_factor
-from .headings import mutual_pairs, world_directions
 from .network import BearingNetwork, components, effective_sigma
 from .posterior import CLOSE, doubtful_warnings, fallen_warnings, posterior, support_warnings, trust_warnings
 from .result import SwarmEstimate
-from .start import SwarmStart, linear_pattern, linear_start, prepare
+from .start import SwarmStart, linear_pattern, linear_start, mutual_pairs, prepare, world_directions
 
 ROBUST_REWEIGHTS = 12  # of the start of least unsquared deviations
 ROBUST_COOLING = 1.6  # by which the kernel's width is divided at each stage

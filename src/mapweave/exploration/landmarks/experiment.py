@@ -11,12 +11,11 @@ import numpy as np
 from ...core.gaussian import mahalanobis2
 from ...landmarks.landmark_map import GlobalMap
 from ...landmarks.submap_slam import SubmapConfig
-from ...sim.field import Field
+from ...sim.landmarks import Field
 from ..mission import ExplorationResult, Mission, RunScore, run_seeds
 from ..planner_interface import find_planner, is_built_in
-from .config import ExploreConfig
+from .config import ExploreConfig, ScenarioConfig, make_field
 from .floor_plan import FloorPlan
-from .scenario import ScenarioConfig, make_field
 from .team import StepRecord, Team
 
 PRINTED_SD = (0.3, 0.3, 0.05)  # [m], [m], [rad] a step, as the paper prints them

@@ -11,7 +11,7 @@ from ...core.records import frozen
 from ...core.walls import Walls
 from ...kernels.walls.segments import Raster, sight_on_raster
 from ...kernels.walls.sight import nearest_views, points_in_sight
-from ...sim.field import Field
+from ...sim.landmarks import Field
 from ..ground import CostToGo, Ground
 from .config import ExploreConfig, WallsConfig
 

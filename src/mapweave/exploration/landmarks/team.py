@@ -22,7 +22,7 @@ from ...kernels.walls.segments import Sector
 from ...kernels.walls.sight import mark_in_sight
 from ...landmarks.landmark_map import GlobalMap, Submap, known_starts
 from ...landmarks.submap_slam import Observations, empty, in_view, move, predict, predicted_observation, update
-from ...sim.field import Field
+from ...sim.landmarks import Field
 from ..planner_interface import query_planner
 from .belief import Explored, LandmarkBelief, Planner
 from .config import ExploreConfig

@@ -18,7 +18,7 @@ from ...kernels.exploration.wavefront import NO_LIMIT, STRAIGHT, spread
 from ..ground import FAR, Ground
 from .config import LaserExploreConfig
 from .frontiers import Frontier, MappedGround, disc_mask, frontiers, mapped_ground, pockets
-from .planner_state import (
+from .mission import (
     ClearCostToGo,
     Goal,
     LaserBelief,

@@ -17,8 +17,7 @@ from ...io.kept import kept_parts, part
 from ...report.result import Rows
 from ...report.style import MUTED, TRUTH, Axes, Target, as_map, colour, figure
 from ...swarm.locate import locate
-from ..reproduction import Claim, Drawing, Reproduction, Section, sentences
-from ..verdicts import Check, Numbers, Rule, question, rule
+from ..reproduction import Check, Claim, Drawing, Numbers, Reproduction, Rule, Section, question, rule, sentences
 from .experiments import (
     CASES,
     LAYOUT,

@@ -18,8 +18,7 @@ from ...laser.laser_map import GridMap
 from ...report.result import Rows
 from ...report.style import MUTED, SEQUENTIAL, TRUTH, Target, as_map, colour, figure
 from ...sim.laser_worlds import CorridorConfig
-from ..reproduction import Claim, Drawing, Reproduction, Section, sentences
-from ..verdicts import Check, Numbers, question, rule
+from ..reproduction import Check, Claim, Drawing, Numbers, Reproduction, Section, question, rule, sentences
 from .experiments import (
     AlongRow,
     AlphaCurve,

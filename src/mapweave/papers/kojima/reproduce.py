@@ -15,10 +15,8 @@ from ...core.workers import Progress, no_progress, one_blas_thread
 from ...io.directory import check_target
 from ...io.kept import kept_parts, part
 from ...report.style import Target
-from ..reproduction import Claim, Drawing, Reproduction, Section, sentences
-from ..verdicts import Check, Rule, question, rule
+from ..reproduction import Check, Claim, Drawing, Reproduction, Rule, Section, question, rule, sentences
 from .experiments import honesty, merge_online, settling, unequal
-from .identity_trials import identities_text, identity_trials, oracle, price_text
 from .measured import (
     CASES,
     NAMES,
@@ -31,6 +29,10 @@ from .measured import (
     draw_global_map,
     draw_local_map,
     draw_trace,
+    identities_text,
+    identity_trials,
+    oracle,
+    price_text,
 )
 from .world import KOJIMA_RADIUS, KojimaConfig, draw_worlds
 

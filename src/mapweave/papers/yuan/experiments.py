@@ -8,9 +8,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ellipe
 
-from ...exploration.landmarks.config import ExploreConfig, HandoverConfig, MissionConfig, ObjectiveConfig
+from ...exploration.landmarks.config import ExploreConfig, HandoverConfig, MissionConfig, ObjectiveConfig, find_scenario
 from ...exploration.landmarks.experiment import CALIBRATED, PRINTED_SD, LandmarkMission, LandmarkRunScore, explore_once
-from ...exploration.landmarks.scenario import find_scenario
 from ...fusion.handover import PairingConfig
 from ...report.result import Rows
 

@@ -19,8 +19,7 @@ from ...io.kept import kept_parts
 from ...report.exploration import draw_map
 from ...report.result import Rows
 from ...report.style import TRUTH, Target, colour, figure, marker
-from ..reproduction import Claim, Drawing, Reproduction, Section, sentences
-from ..verdicts import Check, Numbers, Rule, Typed, rule
+from ..reproduction import Check, Claim, Drawing, Numbers, Reproduction, Rule, Section, Typed, rule, sentences
 from .experiments import (
     GOALS,
     HEAD,
