@@ -13,12 +13,11 @@ from PIL import Image
 import mapweave
 from mapweave.core.names import robot_key
 from mapweave.io.table import read_table
-from mapweave.report.exploration_scene import laser_exploration_scene
+from mapweave.report.exploration import laser_exploration_scene
 from mapweave.report.html import Page
 from mapweave.report.scene import LEVELS
 from mapweave.report.style import drawn
-from mapweave.report.swarm import moved_scene
-from mapweave.report.swarm_figures import track_errors_figure
+from mapweave.report.swarm import moved_scene, track_errors_figure
 
 from .browser import CHROMIUM, seen_in_browser
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from matplotlib.collections import EllipseCollection
 
-from mapweave.landmarks.landmark_map import LandmarkMap
-from mapweave.report.style import PALETTE, drawn, figure, name_points
-from mapweave.report.team_figures import exaggeration, half_axis
+from mapweave.report.scene import Scene
+from mapweave.report.style import FACTORS, PALETTE, drawn, figure, name_points
 
 # Linear RGB as seen with full protanopia, deuteranopia and tritanopia (Machado, Oliveira, Fernandes 2009)
 VISIONS = {
@@ -99,8 +99,14 @@ def test_names_of_points_cover_no_other_and_are_left_out_where_they_would(tmp_pa
 def test_ellipses_of_landmarks_do_not_cover_their_neighbours(n):
     side = 10.0 * np.sqrt(n)
     places = np.random.default_rng(0).uniform(0, side, (n, 2))
-    team = LandmarkMap(tuple(map(str, range(n))), places, 1e-4 * np.eye(2 * n))
-    drawn_half = exaggeration(team) * half_axis(team)
-    assert half_axis(team) == pytest.approx(0.01 * np.sqrt(5.991), rel=1e-3)
+    covs = np.tile(1e-4 * np.eye(2), (n, 1, 1))
+    scene = Scene("a hall")
+    scene.points("landmarks", [str(k) for k in range(n)], places, PALETTE[0], cov=covs)
+    (ax,) = drawn(scene.draw).axes
+    (ellipses,) = (one for one in ax.collections if isinstance(one, EllipseCollection))
+    drawn_half = 0.5 * float(ellipses.get_widths()[0])
+    half = 0.01 * np.sqrt(5.991)
+    assert round(drawn_half / half) in FACTORS
+    assert ax.get_legend_handles_labels()[1][-1] == f"95 % ellipses {drawn_half / half:.0f} times larger"
     assert drawn_half < 0.5 * 0.5 * side / np.sqrt(n), "landmarks spread evenly are twice that apart"
     assert drawn_half > 0.004 * side, "and can be seen"

@@ -1,6 +1,6 @@
 """`compare`: what changed between two laser maps of one place, or which decisions of two runs over one log differ."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from ..mapping.merge import merge_maps
 from ..mapping.merge_search import MergeConfig, Start
 from ..mapping.woven_map import WovenMap
 from ..report.html import Page
-from ..report.laser_figures import draw_changes, walls
+from ..report.laser_figures import walls
 from ..report.result import ResultBase, Rows
 from ..report.scene import Scene
 from ..report.style import Target, colour
@@ -86,24 +86,28 @@ class Comparison(ResultBase):
 
     def draw(self, target: Target) -> None:
         """The map before with what is new and what is gone."""
-        at = {} if self.found is None else self.found.walls
-        draw_changes(target, self.grid, {KINDS[kind][1]: (KINDS[kind][0], at[kind]) for kind in at})
+        self._scene().draw(target)
+
+    def _changed(self) -> Mapping[str, Float[np.ndarray, "n 2"]]:
+        return {} if self.found is None else {kind: self.found.walls[kind] for kind in KINDS}
+
+    def _scene(self) -> Scene:
+        scene = Scene("The map before, with what is new and what is gone")
+        walls(scene, self.grid)
+        for kind, at in self._changed().items():
+            tint, layer = KINDS[kind]
+            scene.points(layer, [kind] * len(at), at, tint, [kind] * len(at), named=False)
+        return scene
 
     def write_into(self, folder: Path) -> None:
         """metrics.json, report.html, new.pgm and gone.pgm with their .yaml, as ROS navigation reads a map."""
         write_json(folder / "metrics.json", self.metrics)
-        (folder / "figures").mkdir()
-        self.draw(folder / "figures" / "changes.png")
         lines = self.lines()
         page = Page("What changed" if self.found is not None else "What was decided otherwise", lines[0] + ".")
-        scene = Scene("The map before, with what is new and what is gone")
-        walls(scene, self.grid)
-        if self.found is not None:
-            for kind, (tint, layer) in KINDS.items():
-                at = self.found.walls[kind]
-                scene.points(layer, [kind] * len(at), at, tint, [kind] * len(at), named=False)
-                self._layer(at).save(folder / f"{kind}.yaml")
-        page.scene(scene, "Walls of the map before; what is new, and what is gone.", folder / "figures" / "changes.png")
+        for kind, at in self._changed().items():
+            self._layer(at).save(folder / f"{kind}.yaml")
+        caption = "Walls of the map before; what is new, and what is gone."
+        page.scene(self._scene(), caption, folder / "figures" / "changes.png")
         for line in lines[1 : len(lines) - len(_cut(self.changes))] if self.found is not None else []:
             page.text(line[0].upper() + line[1:] + ".", warn="itself" in line)
         if self.changes or self.decisions:

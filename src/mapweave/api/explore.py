@@ -218,9 +218,9 @@ class LaserExploration(ResultBase, LaserExploreResult):
         write_laser_exploration(folder, self)
 
     def draw(self, target: "Target") -> None:
-        from ..report.laser_exploration_figures import draw_map  # noqa: PLC0415
+        from ..report.exploration import laser_exploration_scene  # noqa: PLC0415
 
-        draw_map(target, self.first)
+        laser_exploration_scene(self.first).draw(target)
 
 
 def explore_laser(name: str, scenario: LaserScenarioConfig, options: ExploreOptions) -> LaserExploration:
@@ -323,9 +323,9 @@ class LandmarkExploration(ResultBase, ExploreResult):
         write_exploration(folder, self)
 
     def draw(self, target: "Target") -> None:
-        from ..report.exploration import draw_map  # noqa: PLC0415
+        from ..report.exploration import landmark_scene  # noqa: PLC0415
 
-        draw_map(target, self.first)
+        landmark_scene(self.first, self.mission.cfg).draw(target)
 
 
 @path_arguments

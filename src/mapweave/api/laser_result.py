@@ -39,12 +39,11 @@ from ..mapping.segments import still_apart
 from ..mapping.weave import weave
 from ..mapping.woven_map import WovenMap, own_map, woven_maps
 from ..report.html import told_list
-from ..report.laser import write_laser_report
-from ..report.laser_figures import aligned, draw_map
+from ..report.laser import robot_scene, write_laser_report
 from ..report.result import ResultBase, Rows
 from ..report.score import headline_scores
 from ..report.style import Target
-from ..report.woven import draw_component, told_component, told_merge
+from ..report.woven import component_scene, told_component, told_merge
 from .evaluate import Evaluation, judged
 
 DecisionsGiven = Path | Mapping[str, Any]
@@ -89,11 +88,9 @@ class LaserResult(ResultBase):
         """The map of most robots with their trajectories."""
         if self.components and self.components[0].joint:
             places = {local_map.robot: k for k, local_map in enumerate(self.maps)}
-            draw_component(target, self.components[0], self.truth, places)
-            return
-        first = self.maps[0]
-        truth = self.truth.get(first.robot)
-        draw_map(target, first, None if truth is None else aligned(truth, first.track))
+            component_scene(self.components[0], self.truth, places).draw(target)
+        else:
+            robot_scene(self.maps[0], self.truth.get(self.maps[0].robot)).draw(target)
 
     def headline(self) -> Rows:
         head = ("robot", "scans", "method", "feature", "map [m]")

@@ -29,7 +29,7 @@ from ..laser.localise import Localisation, localise
 from ..laser.localise_filter import LocaliseConfig
 from ..laser.localise_trust import Evidence
 from ..mapping.config import LaserConfig
-from ..report.localize import draw_where, write_localisation_report
+from ..report.localize import localisation_scene, write_localisation_report
 from ..report.result import ResultBase, Rows
 from ..report.style import Target
 from .in_memory import Truth, result_folder, truth_files
@@ -85,7 +85,7 @@ class LocalizeResult(ResultBase):
 
     def draw(self, target: Target) -> None:
         """The map and the robot in it."""
-        draw_where(target, self.localisation, self.grid)
+        localisation_scene(self.localisation, self.grid).draw(target)
 
     def headline(self) -> Rows:
         metrics = {**self.metrics["localisation"], **({} if self.score is None else self.score.as_json())}

@@ -19,8 +19,14 @@ from ..io.table import Table, write_table
 from ..io.team_bearings import read_team_truth
 from ..report.result import ResultBase
 from ..report.style import Target
-from ..report.swarm import MovedStory, NetworkStory, write_moved_report, write_network_report
-from ..report.swarm_figures import network_figure, tracks_figure
+from ..report.swarm import (
+    MovedStory,
+    NetworkStory,
+    moved_scene,
+    network_scenes,
+    write_moved_report,
+    write_network_report,
+)
 from ..swarm.config import SwarmConfig
 from ..swarm.moving.result import SwarmTrack
 from ..swarm.network import DEFAULT_SIGMA, BearingNetwork, Distance, contradictions, copies, shares_an_axis
@@ -324,7 +330,8 @@ class Located(ResultBase):
 
     def draw(self, target: Target) -> None:
         """The robots in the plane."""
-        network_figure(target, self.network, self.estimate, self.story().truth)
+        front, *sides = network_scenes(self.network, self.estimate, self.story().truth)
+        front.draw(target, *sides)
 
     def write_into(self, out: Path) -> None:
         """positions.csv, network.npz, metrics.json, report.html, figures/ and, for stamped sightings, trajectories/."""
@@ -475,7 +482,7 @@ class Moved(ResultBase):
 
     def draw(self, target: Target) -> None:
         """The robots in the plane."""
-        tracks_figure(target, self.given.table.ids, self.track, self.given.anchors, dict(self.truth))
+        moved_scene(self.given.table.ids, self.track, self.given.anchors, dict(self.truth)).draw(target)
 
     def write_into(self, out: Path) -> None:
         """trajectories/ID.csv, positions.csv (each robot's last), metrics.json, report.html and figures/."""

@@ -40,7 +40,7 @@ from ..laser.occupancy_mapper import render
 from ..mapping.config import LaserConfig
 from ..mapping.laser_mapping import map_laser
 from ..report.html import told_list
-from ..report.mixed import MixedStory, draw_mixed, words, write_mixed_report
+from ..report.mixed import MixedStory, mixed_scene, words, write_mixed_report
 from ..report.result import ResultBase, Rows
 from ..report.score import headline_scores
 from ..report.style import Target
@@ -227,7 +227,7 @@ class MixedResult(ResultBase):
 
     def draw(self, target: Target) -> None:
         """Walls, landmarks and trajectories of the largest component."""
-        draw_mixed(target, self.story, 0)
+        mixed_scene(self.story, 0).draw(target)
 
     def lines(self) -> list[str]:
         first = self.maps[0]

@@ -25,7 +25,7 @@ from ..ranges.estimate import PlacedPart, RangeEstimate, estimate
 from ..ranges.log import RangeLog, network_of
 from ..ranges.network import RangeNetwork
 from ..report.html import list_files, told_list
-from ..report.ranges import RangeStory, draw_ranges, write_range_report
+from ..report.ranges import RangeStory, range_scene, write_range_report
 from ..report.result import ResultBase, Rows
 from ..report.score import headline_scores
 from ..report.style import Target
@@ -114,7 +114,7 @@ class RangeResult(ResultBase):
 
     def draw(self, target: Target) -> None:
         """Trajectories and beacons of the largest component."""
-        draw_ranges(target, self._story, 0)
+        range_scene(self._story, self._story.maps[0]).draw(target)
 
     @property
     def _story(self) -> RangeStory:

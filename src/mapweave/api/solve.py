@@ -22,7 +22,7 @@ from ..io.tum import write_track_covariance, write_tum
 from ..laser.pose_graph import PoseGraph
 from ..laser.robust_graph import RobustGraphConfig, SolvedGraph, solve_graph
 from ..report.result import ResultBase
-from ..report.solve import draw_graph, write_solve_report
+from ..report.solve import graph_scene, write_solve_report
 from ..report.style import Target
 
 CHANCE = 1e-6  # that a sound graph is called doubtful, in each way it is looked at
@@ -93,7 +93,7 @@ class SolveResult(ResultBase):
 
     def draw(self, target: Target) -> None:
         """The solved poses and the edges between them."""
-        draw_graph(target, self.file.graph.pose, self.solved)
+        graph_scene(self.file.graph.pose, self.solved, self.file.ids).draw(target)
 
     def write_into(self, folder: Path) -> None:
         graph, ids = self.solved.graph, self.file.ids

@@ -230,9 +230,9 @@ class TeamResult(ResultBase):
 
     def draw(self, target: "Target") -> None:
         """The fused map with its robots' trajectories."""
-        from ..report.team_figures import fused_map  # noqa: PLC0415  (figures cost half a second)
+        from ..report.team import team_scene  # noqa: PLC0415  (figures cost half a second)
 
-        fused_map(target, self.story, self.maps[0])
+        team_scene(self.story, self.maps[0]).draw(target)
 
     def write_into(self, folder: Path) -> None:
         """Everything into `folder`, `metrics.json` last."""

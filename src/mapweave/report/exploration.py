@@ -1,5 +1,6 @@
-"""An exploration as pictures: where the robots drove, what they mapped, how fast the field became known."""
+"""Explorations as pages and maps to move about in: what was known when, where robots drove, what they mapped."""
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -7,14 +8,128 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
-from matplotlib.patches import Polygon
 from PIL import Image
 from scipy.spatial import ConvexHull, QhullError
 
+from ..core.records import Track
+from ..exploration.landmarks.config import ExploreConfig
 from ..exploration.landmarks.experiment import ExploreResult, LandmarkRunRecord
-from .exploration_scene import first_seen, landmark_scene
+from ..exploration.laser.experiment import LaserRunRecord
+from ..kernels.exploration.objective import mark_half_disc
+from ..kernels.walls.segments import Raster, Sector
+from ..kernels.walls.sight import mark_in_sight
 from .html import Page
-from .style import MUTED, SEQUENTIAL, TRUTH, Sheet, Target, as_map, colour, draw_ellipse, figure, marker
+from .scene import Scene
+from .style import MUTED, PALETTE, SEQUENTIAL, TRUTH, Sheet, as_map, colour, figure, marker
+
+BORDERS = "submaps as they were handed over"
+MAPPED, FRAME, REFUSED, WALL = PALETTE[5], "#9AA0A6", PALETTE[5], PALETTE[5]
+
+
+def first_seen(run: LandmarkRunRecord, cfg: ExploreConfig) -> Float[np.ndarray, "rows columns"]:
+    """The step at which each cell of the field was first seen, row 0 lowest; NaN: never."""
+    width, height = run.world.upper - run.world.lower
+    cell, sector = cfg.mission.cell, Sector(cfg.submap.reach, cfg.submap.half_angle)
+    shape = (int(np.ceil(height / cell)), int(np.ceil(width / cell)))
+    seen, first = np.zeros(shape, dtype=bool), np.full(shape, np.nan)
+    raster = Raster(run.world.lower, cell)
+    for moment in (run.first_look, *run.moments):
+        for pose in moment.poses:
+            if run.floor is None:
+                mark_half_disc(seen, pose, sector, raster)
+            else:
+                mark_in_sight(seen, pose, sector, raster, run.floor.walls.segments)
+        first[seen & np.isnan(first)] = moment.step
+    return first
+
+
+def landmark_scene(run: LandmarkRunRecord, cfg: ExploreConfig) -> Scene:
+    """The first run of a landmark world."""
+    first, cell = first_seen(run, cfg), cfg.mission.cell
+    scene = Scene("The field, what was seen of it when, and where the robots drove", [BORDERS], clock="step")
+    (x0, y0), (x1, y1) = run.world.lower, run.world.upper
+    rows, columns = first.shape
+    known = ~np.isnan(first)
+    extent = (float(x0), float(x0 + columns * cell), float(y0), float(y0 + rows * cell))
+    scene.grid("explored", known, np.zeros_like(known), extent, first)
+    corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]], float)
+    scene.lines("field", np.concatenate([corners[:-1], corners[1:]], axis=1), FRAME)
+    if run.floor is not None:
+        scene.lines("walls", run.floor.walls.segments, TRUTH)
+    for _, j, points in run.submap_borders:
+        ring = _border(points)
+        scene.lines(BORDERS, np.concatenate([ring[:-1], ring[1:]], axis=1), colour(j))
+    moments = (run.first_look, *run.moments)
+    steps = np.array([moment.step for moment in moments], float)
+    poses = np.array([moment.true_poses for moment in moments])
+    for j, name in enumerate(run.robots):
+        scene.track(name, f"{name}, true place", Track(steps, poses[:, j]), colour(j))
+    true = run.world.landmarks
+    scene.points("true landmarks", [str(i) for i in range(len(true))], true, TRUTH, named=False, shape="star")
+    marks = run.map.landmarks
+    n = len(marks)
+    cov = marks.cov.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
+    labels = []
+    for name, (x, y), P in zip(marks.ids, marks.mean, cov, strict=True):
+        source = run.source.get(name)
+        off = "" if source is None else f"\n{np.hypot(*(true[source] - (x, y))):.3f} m from its true place"
+        labels.append(
+            f"landmark {name}, as mapped\n({x:.3f}, {y:.3f}) m\nsd {np.sqrt(np.trace(P) / 2):.3f} m an axis{off}"
+        )
+    cells = np.clip(((marks.mean - run.world.lower) / cell).astype(int), 0, [columns - 1, rows - 1])
+    since = [None if np.isnan(step) else float(step) for step in first[cells[:, 1], cells[:, 0]]]
+    scene.points("mapped landmarks", marks.ids, marks.mean, MAPPED, labels, cov, named=False, since=since)
+    return scene
+
+
+def _border(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "corners 2"]:
+    """The hull of a submap as a ring; nothing where its corners lie on a line."""
+    corners: list[int] = []
+    if len(points) > 2:
+        with suppress(QhullError):
+            corners = [int(k) for k in ConvexHull(points).vertices]
+    return points[[*corners, *corners[:1]]]
+
+
+def laser_exploration_scene(run: LaserRunRecord) -> Scene:
+    """The first run of a laser world: cells of the final map as they came to be known."""
+    hidden = ["true walls", "truth", "loops closed", "loops refused"]
+    scene = Scene("The merged map, as it came about, and where the robots drove", hidden=hidden)
+    known = ~run.map.unknown
+    since = np.full(known.shape, np.nan)
+    t = np.array([0.0, *(moment.t for moment in run.moments)])
+    for snapshot in run.snapshots:
+        places = run.map.centres(np.argwhere(known & np.isnan(since)))
+        then = snapshot.grid.state[tuple(snapshot.grid.cells(places).T)] != -1
+        inside = _inside(snapshot.grid.origin, snapshot.grid.resolution, snapshot.grid.state.shape, places)
+        at = np.argwhere(known & np.isnan(since))[then & inside]
+        since[tuple(at.T)] = t[min(snapshot.step, len(t) - 1)]
+    x, y = run.map.origin
+    rows, columns = known.shape
+    h = run.map.resolution
+    extent = (float(x), float(x + columns * h), float(y), float(y + rows * h))
+    scene.grid("map", known, run.map.occupied, extent, since)
+    scene.lines("true walls", run.place.world.segments, WALL)
+    pose = run.graph.pose[:, :2]
+    for layer, accepted in (("loops closed", True), ("loops refused", False)):
+        those = [c for c in run.closures if c.accepted == accepted]
+        ends = np.array([[*pose[c.first], *pose[c.second]] for c in those]).reshape(-1, 4)
+        labels = [f"{run.robots[c.robots[0]]} and {run.robots[c.robots[1]]}\n{c.reason}" for c in those]
+        scene.lines(layer, ends, PALETTE[2] if accepted else REFUSED, labels, dashed=not accepted)
+    for true in run.truths:
+        scene.path("truth", true.pose[:, :2], TRUTH)
+    for j, name in enumerate(run.robots):
+        scene.track(name, name, run.tracks[j], colour(j))
+    return scene
+
+
+def _inside(
+    origin: Float[np.ndarray, "2"], resolution: float, shape: tuple[int, ...], at: Float[np.ndarray, "n 2"]
+) -> np.ndarray:
+    """Which places lie on a grid of that shape."""
+    upper = origin + resolution * np.array(shape[::-1])
+    return np.asarray(((at >= origin) & (at < upper)).all(axis=1))
+
 
 FRAMES = 48
 TALLEST = 24.0  # inches, of a figure, however narrow the field
@@ -23,7 +138,6 @@ TALLEST = 24.0  # inches, of a figure, however narrow the field
 def write_exploration(folder: Path, result: ExploreResult) -> None:
     """report.html and figures/ in `folder`."""
     first = result.first
-    draw_map(folder / "figures" / "map.png", first)
     draw_progress(folder / "figures" / "progress.png", first, result)
     seen_at = first_seen(first, result.mission.cfg)
     draw_explored(folder / "figures" / "explored.png", first, seen_at, result.mission.cfg.mission.cell)
@@ -45,8 +159,8 @@ def write_exploration(folder: Path, result: ExploreResult) -> None:
         ]
     )
     page.section("The first run")
-    scene = landmark_scene(first, seen_at, m.cfg.mission.cell)
-    caption = "What was seen when, where the robots truly were, and the map; figures/map.png has the submaps' borders."
+    scene = landmark_scene(first, m.cfg)
+    caption = "What was seen when, where the robots truly were, and the map."
     page.scene(scene, caption, folder / "figures" / "map.png")
     page.figure(folder / "figures" / "explored.png", "When each cell was first seen; lines: the frontier at quarters")
     every = "; steps and errors of all runs" if len(result.runs) > 1 else ""
@@ -92,26 +206,6 @@ def write_exploration(folder: Path, result: ExploreResult) -> None:
 def seeds_told(first: int, runs: int) -> str:
     """What a page says of the seeds of its runs."""
     return f"seed {first}" if runs == 1 else f"seeds {first} to {first + runs - 1}"
-
-
-def draw_map(path: Target, run: LandmarkRunRecord) -> None:
-    """Trajectories, landmarks with 95 % ellipses, truth, and the borders of submaps at hand-over."""
-    width, height = run.world.upper - run.world.lower
-    with figure(path, 8.0, min(8.0 * float(height / width), TALLEST) + 0.6) as (_, ax):
-        _field(ax, run)
-        for step, j, points in run.submap_borders:
-            del step
-            _border(ax, points, colour(j))
-        poses = np.array([m.true_poses for m in (run.first_look, *run.moments)])
-        for j, name in enumerate(run.robots):
-            ax.plot(poses[:, j, 0], poses[:, j, 1], color=colour(j), label=f"{name}, true path", zorder=3)
-            ax.plot(*run.world.starts[j, :2], marker=marker(j), color=colour(j), ms=7, zorder=4)
-        marks = run.map.landmarks
-        for i in range(len(marks)):
-            draw_ellipse(ax, marks.mean[i], marks.cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2], "#D55E00", zorder=4)
-        ax.plot(*marks.mean.T, "+", color="#D55E00", ms=6, zorder=5, label="landmark, mapped (95 %)")
-        ax.plot(*run.world.landmarks.T, "*", color=TRUTH, ms=5, zorder=5, label="landmark, true")
-        ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=4)
 
 
 def draw_explored(path: Path, run: LandmarkRunRecord, first: Float[np.ndarray, "rows columns"], cell: float) -> None:
@@ -210,16 +304,6 @@ def _field(ax: Any, run: LandmarkRunRecord) -> None:
     as_map(ax)
     ax.set_aspect("equal", adjustable="box")
     ax.set(xlim=(x0 - 2, x1 + 2), ylim=(y0 - 2, y1 + 2))
-
-
-def _border(ax: Any, points: np.ndarray, color: str) -> None:
-    if len(points) < 3:
-        return
-    try:
-        corners = points[ConvexHull(points).vertices]
-    except QhullError:
-        return
-    ax.add_patch(Polygon(corners, fill=True, facecolor=color, alpha=0.06, edgecolor=color, lw=0.6))
 
 
 def _unit(value: float | None, unit: str) -> str:

@@ -174,8 +174,13 @@ class Page:
         yield
         self.parts.append("</details>")
 
-    def scene(self, scene: Scene, caption: str, png: Path | None = None) -> None:
-        """A map to move about in; the picture shows where no script runs. Nothing of a scene that is empty."""
+    def scene(self, scene: Scene, caption: str, png: Path | None = None, *beside: Scene) -> None:
+        """A map to move about in; its picture, drawn to `png`, shows where no script runs. Nothing of an empty scene.
+
+        beside: what the picture shows too.
+        """
+        if png is not None:
+            scene.draw(png, *beside)
         still = "" if png is None else _picture(png, caption)
         if not scene.empty:
             self.scenes += 1

@@ -18,12 +18,12 @@ from .laser_figures import (
     aligned,
     draw_calibration,
     draw_intensity,
-    draw_map,
     draw_scans,
     draw_tracks,
     laser_scene,
     median_deviation,
 )
+from .scene import Scene
 from .woven import not_in_first, robot_colour, write_maps, write_pairs
 
 MOST_NAMED = 4  # logs in the title
@@ -172,12 +172,7 @@ def _robot(
     figures = folder / "figures"
     page.cards([*_headline(local_map), *scores])
     seen = None if truth is None else aligned(truth, local_map.track)
-    draw_map(figures / f"{name}_map.png", local_map, seen, robot_colour(k))
-    others = {} if local_map.dead_reckoning is None else {"odometry alone": local_map.dead_reckoning}
-    others |= {} if seen is None else {"truth": seen}
-    colours = {local_map.robot: robot_colour(k)}
-    tracks = {local_map.robot: local_map.track}
-    scene = laser_scene(local_map.grid, tracks, colours, closures, others, findings or local_map.findings)
+    scene = robot_scene(local_map, truth, k, closures, findings)
     page.scene(
         scene,
         SHADES,
@@ -212,6 +207,17 @@ def _robot(
             f"Estimated from this log itself, from {local_map.calibration.samples} returns; the residual is what "
             "range, incidence and place leave unexplained.",
         )
+
+
+def robot_scene(
+    local_map: LaserMap, truth: Track | None, k: int = 0, closures: Sequence[ClosureRow] = (),
+    findings: Sequence[Finding] = (),
+) -> Scene:  # fmt: skip
+    """The map of one robot, the `k`-th of all, beside odometry alone and the truth, which may be in any frame."""
+    others = {} if local_map.dead_reckoning is None else {"odometry alone": local_map.dead_reckoning}
+    others |= {} if truth is None else {"truth": aligned(truth, local_map.track)}
+    tracks, colours = {local_map.robot: local_map.track}, {local_map.robot: robot_colour(k)}
+    return laser_scene(local_map.grid, tracks, colours, closures, others, findings or local_map.findings)
 
 
 def _headline(local_map: LaserMap) -> list[tuple[str, str]]:

@@ -14,42 +14,13 @@ from ..core.records import Track
 from ..laser.laser_map import GridMap, IntensityCalibration, LaserMap
 from ..mapping.woven_map import ClosureRow
 from .scene import Scene
-from .style import LANDMARK, MUTED, SEQUENTIAL, TRUTH, Target, as_map, colour, figure
+from .style import LANDMARK, MUTED, SEQUENTIAL, TRUTH, as_map, colour, figure
 
 DECISIONS = {"matched": 0, "odometry": 5, "skipped": 4, "empty": 3}  # decision -> colour
 MOST_LAYERS = 12  # robots with a switch of their own below the map
 MOST_Q = 1.0  # of the colour scale
 READABLE: Any = {"frameon": True, "framealpha": 0.85, "edgecolor": "none"}  # a legend over data
 PASSED_BY = 0.3  # occupancy up to which a cell's returns were of things that moved
-UNSEEN = 0.86  # the grey of cells no beam reached
-
-
-def draw_map(path: Target, local_map: LaserMap, truth: Track | None, tint: str = colour(0)) -> None:
-    """Walls black, free space white, unknown grey; the trajectory on top in `tint`, the truth where there is one."""
-    with figure(path, *map_size(local_map.grid)) as (fig, ax):
-        draw_occupancy(ax, local_map.grid)
-        ax.plot(*local_map.track.pose[:, :2].T, color=tint, label="estimate", linewidth=1.0)
-        if truth is not None:
-            ax.plot(*truth.pose[:, :2].T, color=TRUTH, label="truth", linewidth=0.8, linestyle="--")
-        _ends(ax, local_map.track, tint)
-        map_window(ax, local_map.grid)
-        fig.legend(loc="outside lower center", ncols=4)
-        as_map(ax, f"robot {local_map.robot}: {local_map.method}, feature {local_map.feature}")
-        ax.set_aspect("equal", adjustable="box")
-
-
-def draw_changes(path: Target, grid: GridMap, walls: Mapping[str, tuple[str, Float[np.ndarray, "n 2"]]]) -> None:
-    """The map pale, and on it the `walls` of each name in their colour."""
-    with figure(path, *map_size(grid)) as (fig, ax):
-        draw_occupancy(ax, grid)
-        ax.images[-1].set_alpha(0.45)
-        for name, (tint, at) in walls.items():
-            ax.plot(*at.T, "s", color=tint, markersize=2.5, label=name)
-        map_window(ax, grid)
-        if walls:
-            fig.legend(loc="outside lower center", ncols=2)
-        as_map(ax, "What changed")
-        ax.set_aspect("equal", adjustable="box")
 
 
 def draw_intensity(path: Path, grid: GridMap, feature: str, who: str) -> None:
@@ -193,18 +164,6 @@ def _draw_n_eff(ax: Any, t: Float[np.ndarray, " n"], local_map: LaserMap) -> Non
     ax.set_ylim(0, 1.3 * local_map.particles)  # room for the legend
     ax.set_ylabel("effective particles")
     ax.legend(loc="upper left", ncols=2, **READABLE)
-
-
-def draw_occupancy(ax: Any, grid: GridMap) -> None:
-    p = grid.occupancy()
-    shade = np.where((grid.hits > 0) | (grid.passes > 0), 1.0 - p, UNSEEN)
-    ax.imshow(shade, cmap="gray", vmin=0.0, vmax=1.0, extent=grid.extent, origin="lower", interpolation="nearest")
-    ax.grid(visible=False)
-
-
-def _ends(ax: Any, track: Track, tint: str) -> None:
-    ax.plot(*track.pose[0, :2], "o", color=tint, mfc="white", mew=1.6, markersize=7, ls="none", label="start")
-    ax.plot(*track.pose[-1, :2], "s", color=tint, mec="white", markersize=7, ls="none", label="end")
 
 
 def map_window(ax: Any, grid: GridMap) -> None:

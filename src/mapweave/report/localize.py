@@ -9,9 +9,9 @@ from ..core.records import Track
 from ..laser.laser_map import GridMap
 from ..laser.localise import Localisation
 from .html import Page
-from .laser_figures import READABLE, draw_occupancy, map_size, map_window, walls
+from .laser_figures import READABLE, walls
 from .scene import Scene
-from .style import Target, as_map, colour, figure
+from .style import colour, figure
 
 
 def write_localisation_report(folder: Path, localisation: Localisation, grid: GridMap, lines: Sequence[str]) -> None:
@@ -30,7 +30,14 @@ def write_localisation_report(folder: Path, localisation: Localisation, grid: Gr
     for line in lines:
         page.text(line, warn=not localisation.trusted)
     where, scans = folder / "figures" / "where.png", folder / "figures" / "scans.png"
-    draw_where(where, localisation, grid)
+    page.scene(localisation_scene(localisation, grid), "The finished map and the robot in it.", where)
+    _draw_scans(scans, localisation)
+    page.figure(scans, "How much of every scan the map explains, and how many hypotheses still count.")
+    page.write(folder / "report.html")
+
+
+def localisation_scene(localisation: Localisation, grid: GridMap) -> Scene:
+    """The finished map, and the robot's way before its start was found and since."""
     t = localisation.track.t
     known = t >= (np.inf if localisation.found_t is None else localisation.found_t)
     ways = {"before the start was found": ~known, "robot": known}
@@ -40,25 +47,7 @@ def write_localisation_report(folder: Path, localisation: Localisation, grid: Gr
         cov = None if localisation.track.cov is None else localisation.track.cov[rows]
         way = Track(t[rows], localisation.track.pose[rows], cov)
         scene.track(layer, layer, way, colour(shade), leaves=shade == 1)
-    page.scene(scene, "The finished map and the robot in it.", where)
-    _draw_scans(scans, localisation)
-    page.figure(scans, "How much of every scan the map explains, and how many hypotheses still count.")
-    page.write(folder / "report.html")
-
-
-def draw_where(path: Target, localisation: Localisation, grid: GridMap) -> None:
-    with figure(path, *map_size(grid)) as (fig, ax):
-        draw_occupancy(ax, grid)
-        pose, t = localisation.track.pose, localisation.track.t
-        known = t >= (np.inf if localisation.found_t is None else localisation.found_t)
-        ax.plot(pose[:, 0], pose[:, 1], color=colour(1), linewidth=0.6, label="before the start was found")
-        if known.any():
-            ax.plot(pose[known, 0], pose[known, 1], color=colour(0), linewidth=1.3, label="estimate")
-            ax.plot(*pose[np.argmax(known), :2], "o", color=colour(2), markersize=5, label="found here")
-        map_window(ax, grid)
-        as_map(ax, "Where the robot was")
-        ax.set_aspect("equal", adjustable="box")
-        fig.legend(loc="outside lower center", ncols=3)
+    return scene
 
 
 def _draw_scans(path: Path, localisation: Localisation) -> None:

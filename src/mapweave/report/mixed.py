@@ -13,16 +13,14 @@ from ..team.mixed import MixedMap
 from ..team.robot_part import PARAMETERS
 from ..team.smooth import Smoothed, is_observed
 from .html import Page, sentence_case
-from .laser_figures import MOST_LAYERS, draw_occupancy, median_deviation, walls
+from .laser_figures import MOST_LAYERS, median_deviation, walls
 from .scene import Scene, landmark_points
-from .style import Target, as_map, colour, figure, name_points
+from .style import colour
 from .team import CALIBRATED, measured, named
-from .team_figures import legend_beside, thinned
 from .woven import told_merge
 
 BY = {"walls": "walls that both saw", "known": "where they are known to be"}
 TIES = "How they were tied"
-MANY = 40  # landmarks from which names would cover the map
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,27 +61,7 @@ def words(story: MixedStory) -> list[str]:
     return out
 
 
-def draw_mixed(target: Target, story: MixedStory, k: int) -> None:
-    """Component `k` on `target`: walls, landmarks as stars, trajectories with a ring where each began."""
-    team, grid = story.map.components[k].map, story.grids[k]
-    with figure(target, 8.4, 6.0) as (_, ax):
-        if grid is not None:
-            draw_occupancy(ax, grid)
-        for robot in team.robots:
-            track = team.tracks[robot]
-            if len(track.t):
-                way = thinned(track)
-                shade = colour(story.robots.index(robot))
-                ax.plot(*way[:, :2].T, color=shade, lw=0.9, label=f"robot {robot_key(robot)}, {story.kinds[robot]}")
-                ax.plot(*way[0, :2], "o", color=shade, mfc="white", ms=6)
-        ax.plot(*team.landmarks.mean.T, "*", color="#B25400", ms=7, ls="none", zorder=4)
-        if len(team.landmarks) <= MANY:
-            name_points(ax, team.landmarks.ids, team.landmarks.mean, 7)
-        as_map(ax, "One frame for walls, landmarks and robots")
-        legend_beside(ax, 20)
-
-
-def _scene(story: MixedStory, k: int) -> Scene:
+def mixed_scene(story: MixedStory, k: int) -> Scene:
     """Component `k` to move about in."""
     team, grid = story.map.components[k].map, story.grids[k]
     scene = Scene("Walls, landmarks and where every robot went")
@@ -124,8 +102,7 @@ def write_mixed_report(folder: Path, story: MixedStory) -> None:
     for k, component in enumerate(whole):
         page.section("Map" if k == 0 else f"Component {k + 1}: {named(component.map.robots)}")
         png = folder / "figures" / ("map.png" if k == 0 else f"component_{k + 1}.png")
-        draw_mixed(png, story, k)
-        page.scene(_scene(story, k), "Walls as lasers saw them, landmarks, and where every robot went.", png)
+        page.scene(mixed_scene(story, k), "Walls as lasers saw them, landmarks, and where every robot went.", png)
         if k == 0:
             page.warnings([found.told for found in story.findings])
     if story.lines:

@@ -13,8 +13,7 @@ from ..ranges.network import RangeNetwork
 from ..team.team_map import TeamMap
 from .html import Page, told_list
 from .scene import Scene, landmark_points
-from .style import INK, MUTED, Target, as_map, colour, draw_ellipse, figure, name_points
-from .team_figures import legend_beside, thinned
+from .style import MUTED, Target, colour, figure
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,27 +30,6 @@ class RangeStory:
 
     def tint(self, robot: str) -> str:
         return colour(self.network.robots.index(robot))
-
-
-def draw_ranges(target: Target, story: RangeStory, k: int) -> None:
-    """Component `k`: trajectories with a ring where each began, beacons with their 95 % ellipses."""
-    team = story.maps[k]
-    with figure(target, 8.4, 6.0) as (_, ax):
-        for robot in team.robots:
-            way = thinned(team.tracks[robot])
-            ax.plot(*way[:, :2].T, color=story.tint(robot), lw=0.9, label=f"robot {robot_key(robot)}")
-            ax.plot(*way[0, :2], "o", color=story.tint(robot), mfc="white", ms=6)
-            cov = team.tracks[robot].cov
-            if cov is not None:
-                draw_ellipse(ax, team.tracks[robot].pose[-1, :2], cov[-1, :2, :2], story.tint(robot))
-        beacons = team.landmarks
-        for i in range(len(beacons)):
-            draw_ellipse(ax, beacons.mean[i], beacons.cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2], INK)
-        if len(beacons):
-            ax.plot(*beacons.mean.T, "^", color=INK, ms=6, ls="none", label="beacon")
-            name_points(ax, beacons.ids, beacons.mean, 7)
-        as_map(ax, "Where robots drove and beacons stand")
-        legend_beside(ax, 20)
 
 
 def draw_residuals(target: Target, story: RangeStory) -> None:
@@ -88,8 +66,7 @@ def write_range_report(folder: Path, story: RangeStory) -> None:
     for k, team in enumerate(story.maps):
         page.section("Map" if k == 0 else f"Component {k + 1}: {told_list([robot_key(r) for r in team.robots])}")
         png = folder / "figures" / ("map.png" if k == 0 else f"component_{k + 1}.png")
-        draw_ranges(png, story, k)
-        page.scene(_scene(story, team), "Where robots drove; beacons and ends with their 95 % ellipses.", png)
+        page.scene(range_scene(story, team), "Where robots drove; beacons and ends with their 95 % ellipses.", png)
         if k == 0:
             page.warnings([found.told for found in story.findings])
     for line in story.told:
@@ -105,7 +82,8 @@ def write_range_report(folder: Path, story: RangeStory) -> None:
     page.write(folder / "report.html")
 
 
-def _scene(story: RangeStory, team: TeamMap) -> Scene:
+def range_scene(story: RangeStory, team: TeamMap) -> Scene:
+    """Where the robots of one component drove, and its beacons."""
     scene = Scene("Where robots drove and beacons stand")
     for robot in team.robots:
         scene.track(f"robot {robot_key(robot)}", f"robot {robot_key(robot)}", team.tracks[robot], story.tint(robot))

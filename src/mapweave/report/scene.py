@@ -5,16 +5,19 @@ It needs no network: the data and the script are inside the page, and without sc
 
 import base64
 import json
-from collections.abc import Iterable, Mapping, Sequence
+import re
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from html import escape
 from importlib.resources import files
 from io import BytesIO
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
+from matplotlib.collections import EllipseCollection, LineCollection
+from matplotlib.colors import ListedColormap
 from PIL import Image
 
 from ..core.findings import Finding
@@ -25,7 +28,7 @@ from ..core.se2 import interpolate
 from ..core.viewport import viewport
 from ..landmarks.landmark_map import LandmarkMap
 from ..team.team_map import TeamMap
-from .style import LANDMARK, gaps
+from .style import LANDMARK, SEQUENTIAL, Axes, Target, as_map, figure, gaps, larger, legend_beside, name_points
 
 MOST_POSES = 800  # of a trajectory: enough to draw it and to point at
 MOST_CELLS = 1600  # along the longer side of a grid: finer cells are joined, a wall stays a wall
@@ -34,6 +37,11 @@ FOUND = "#B25400"  # of findings, seen on white and on black
 KINDS = (0, 127, 255)  # grey of what is unknown, free and wall in a grid's picture, which the page colours
 LEVELS = 254  # steps of time in which cells become known; one more is never
 
+
+SHAPES = {"dot": "o", "ring": "o", "star": "*", "cross": "X", "triangle": "^"}  # Matplotlib's markers
+CELLS = ListedColormap(["#DBDBDB", "#FFFFFF", "#24292F"])  # of unknown, free and wall in a picture
+MOST_NAMED = 60  # points of a layer from which names would cover a picture
+FEW_POINTS = 1500  # up to which each is drawn with its ellipse; of more the colour tells how sure they are
 
 Shape = Literal["dot", "ring", "star", "cross", "triangle"]
 
@@ -52,9 +60,10 @@ class Scene:
     axes: str = "x, y in m"
     clock: str = "s"
     _grid: dict[str, object] | None = None
-    _tracks: list[dict[str, object]] = field(default_factory=list)
-    _points: list[dict[str, object]] = field(default_factory=list)
-    _lines: list[dict[str, object]] = field(default_factory=list)
+    _cells: tuple[Int[np.ndarray, "rows columns"], tuple[float, float, float, float]] | None = None  # of the grid
+    _tracks: list[dict[str, Any]] = field(default_factory=list)
+    _points: list[dict[str, Any]] = field(default_factory=list)
+    _lines: list[dict[str, Any]] = field(default_factory=list)
     _corners: list[tuple[str, Float[np.ndarray, "n 2"]]] = field(default_factory=list)  # with their layer
 
     def grid(
@@ -69,6 +78,7 @@ class Scene:
         known, occupied = _joined(known, join), _joined(occupied, join)
         kind = known.astype(np.uint8)
         kind[occupied] = 2
+        self._cells = kind, extent
         picture = Image.fromarray(kind[::-1], "P")
         picture.putpalette(bytes(grey for grey in KINDS for _ in range(3)))
         x0, x1, y0, y1 = extent
@@ -171,16 +181,77 @@ class Scene:
     def empty(self) -> bool:
         return not self._corners
 
+    def _extent(self, hidden: Container[str]) -> Float[np.ndarray, "4"]:
+        """x0, x1, y0, y1 of all that is not hidden [m]."""
+        shown = [at for layer, at in self._corners if layer not in hidden] or [at for _, at in self._corners]
+        corners = np.concatenate(shown) if shown else np.zeros((1, 2))
+        return np.stack([corners.min(axis=0), corners.max(axis=0)], axis=1).ravel()
+
     def data(self) -> Mapping[str, object]:
         """What the script draws."""
-        shown = [at for layer, at in self._corners if layer not in self.hidden] or [at for _, at in self._corners]
-        corners = np.concatenate(shown) if shown else np.zeros((1, 2))
-        low, high = corners.min(axis=0), corners.max(axis=0)
         return {
             "label": self.label, "hidden": self.hidden, "axes": self.axes, "clock": self.clock,
-            "extent": _short(np.array([low[0], high[0], low[1], high[1]])), "grid": self._grid,
+            "extent": _short(self._extent(self.hidden)), "grid": self._grid,
             "tracks": self._tracks, "points": self._points, "lines": self._lines,
         }  # fmt: skip
+
+    def draw(self, target: Target, *beside: "Scene", hidden: Sequence[str] | None = None) -> None:
+        """The scene as a picture, at its last moment, and others beside it; hidden: in place of their own."""
+        scenes = (self, *beside)
+        left = [s.hidden if hidden is None else hidden for s in scenes]
+        x0, x1, y0, y1 = self._extent(left[0])
+        tall = float(np.clip((y1 - y0) / max(x1 - x0, 1e-9), 0.3, 1.1))
+        wide = 8.4 if len(scenes) == 1 else 6.0
+        with figure(target, wide * len(scenes), wide * tall + 1.0, ncols=len(scenes), squeeze=False) as (_, axes):
+            for ax, scene, off in zip(axes[0], scenes, left, strict=True):
+                scene._draw_on(ax, off)  # noqa: SLF001  (one of our own)
+
+    def _draw_on(self, ax: Axes, hidden: Container[str]) -> None:
+        x0, x1, y0, y1 = self._extent(hidden)
+        room = 0.04 * max(x1 - x0, y1 - y0, 1e-9)
+        ax.set(xlim=(x0 - room, x1 + room), ylim=(y0 - room, y1 + room))
+        if self._cells is not None:
+            kind, extent = self._cells
+            ax.imshow(kind, CELLS, vmin=0, vmax=2, extent=extent, origin="lower", interpolation="nearest", zorder=0)
+            ax.grid(visible=False)
+        for one in (line for line in self._lines if line["layer"] not in hidden):
+            ends, dash = list(np.reshape(one["segments"], (-1, 2, 2))), ":" if one["dashed"] else "-"
+            ax.add_collection(LineCollection(ends, colors=one["colour"], lw=0.8, linestyles=dash, label=one["layer"]))
+        for one in (track for track in self._tracks if track["layer"] not in hidden):
+            way = np.column_stack([one["x"], one["y"]])
+            if one["t"]:
+                ax.plot(*way[0], "o", color=one["colour"], mfc="white", ms=6, zorder=4)
+                ax.plot(*way[-1], "s", color=one["colour"], mec="white", ms=7, zorder=4)
+                way = np.insert(way, one["gaps"], np.nan, axis=0)
+            ax.plot(*way.T, "-" if one["t"] else "--", color=one["colour"], lw=1.3, label=one["layer"])
+        for one in (points for points in self._points if points["layer"] not in hidden):
+            self._draw_points(ax, one)
+        first, second, unit = re.split(r",? ", self.axes, maxsplit=2)
+        as_map(ax, self.label)
+        ax.set_aspect("equal", adjustable="box")
+        ax.set(xlabel=f"{first} [{unit.removeprefix('in ')}]", ylabel=f"{second} [{unit.removeprefix('in ')}]")
+        legend_beside(ax, 20)
+
+    def _draw_points(self, ax: Axes, one: Mapping[str, Any]) -> None:
+        at, sd, tint = np.column_stack([one["x"], one["y"]]), one["sd"], one["colour"]
+        if len(at) > FEW_POINTS and sd is not None:
+            shade = [np.nan if v is None else v for v in sd]
+            drawn = ax.scatter(at[:, 0], at[:, 1], 3.0, shade, cmap=SEQUENTIAL, label=one["layer"])
+            ax.figure.colorbar(drawn, ax=ax, label="standard deviation [m]", shrink=0.6)
+            return
+        size, fill = float(np.clip(40.0 / np.sqrt(len(at)), 2.0, 5.0)), "none" if one["shape"] == "ring" else tint
+        ax.plot(*at.T, SHAPES[one["shape"]], color=tint, mfc=fill, ms=size, ls="none", label=one["layer"], zorder=5)
+        if one["ellipses"] is not None:
+            a, b, angle = np.array(one["ellipses"]).T
+            most = float(np.ptp(at, axis=0).max()) * min(0.035, 0.15 / np.sqrt(len(at)))
+            grow = larger(float(np.median(a)), most)
+            look: Any = {"facecolors": "none", "edgecolors": tint, "linewidths": 0.8, "zorder": 3}
+            axes = (2 * grow * a, 2 * grow * b, np.degrees(angle))
+            ax.add_collection(EllipseCollection(*axes, units="xy", offsets=at, offset_transform=ax.transData, **look))
+            if grow > 1:
+                ax.plot([], [], " ", label=f"95 % ellipses {grow} times larger")
+        if one["named"] and len(at) <= MOST_NAMED:
+            name_points(ax, one["names"], at)
 
     def html(self, caption: str, still: str = "") -> str:
         """A figure for a page that has the script at its end; `still`: what shows where no script runs."""

@@ -19,8 +19,8 @@ from ..evaluation.trajectory import paired
 from ..io.directory import result_file
 from . import style
 from .html import Page
-from .style import Target, figure
-from .team_figures import MANY, TeamStory, half_axis, larger, legend_beside, shape, thinned
+from .style import Target, figure, larger, legend_beside
+from .team_figures import MANY, TeamStory, half_axis, shape, thinned
 
 MOST = 40  # errors drawn one by one
 WORDS = {

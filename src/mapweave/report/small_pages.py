@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from ..core.records import Track
 from .html import Page
-from .scene import script
-from .style import LANDMARK, MUTED, TRUTH, Target, as_map, colour, figure
+from .scene import Scene, Shape, script
+from .style import LANDMARK, MUTED, TRUTH, Target, colour, figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -65,9 +66,6 @@ def draw_messages(target: Target, sizes: Sequence[int], heard_by: int) -> None:
         ax.set_title(f"all heard by {heard_by} map process{'' if heard_by == 1 else 'es'}")
 
 
-FEW = 20  # trajectories told apart by a legend
-
-
 def draw_world(
     target: Target,
     title: str,
@@ -77,20 +75,16 @@ def draw_world(
     pairs: Sequence[tuple[int, int]] = (),
 ) -> None:
     """True paths [m] by robot, places (landmarks or robots), walls (x0, y0, x1, y1), and who of `places` sees whom."""
-    with figure(target, 7.0, 5.4) as (_, ax):
-        if walls is not None:
-            for x0, y0, x1, y1 in walls.tolist():
-                ax.plot([x0, x1], [y0, y1], color=TRUTH, lw=1.0)
-        if places is not None:
-            for i, j in pairs:
-                ax.plot(*places[[i, j]].T, color=MUTED, lw=0.4, zorder=1)
-            ax.plot(*places.T, "*" if ways else "o", color=TRUTH, ms=5, ls="none", zorder=3)
-        for k, (name, way) in enumerate(ways.items()):
-            ax.plot(*way.T, color=colour(k), lw=0.9, label=name)
-            ax.plot(*way[0], "o", color=colour(k), mfc="white", ms=6)
-        if 0 < len(ways) <= FEW:
-            ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-        as_map(ax, title)
+    scene = Scene(title)
+    scene.lines("walls", np.zeros((0, 4)) if walls is None else walls, TRUTH)
+    if places is not None:
+        scene.lines("who sees whom", places[np.array(pairs, int).reshape(-1, 2)].reshape(-1, 4), MUTED)
+        shape: Shape = "star" if ways else "dot"
+        scene.points("landmarks" if ways else "robots", [""] * len(places), places, TRUTH, named=False, shape=shape)
+    for k, (name, way) in enumerate(ways.items()):
+        poses = np.column_stack([way, np.zeros(len(way))])
+        scene.track(name, name, Track(np.arange(len(way), dtype=float), poses), colour(k))
+    scene.draw(target)
 
 
 _BODY = """

@@ -4,12 +4,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.collections import LineCollection
 
 from ..laser.robust_graph import SolvedGraph
 from .html import Page
 from .scene import Scene
-from .style import MUTED, Target, as_map, colour, figure
+from .style import MUTED, colour, figure
 
 MOST_ROWS = 200  # of dropped edges the page lists
 MOST_EDGES = 4000  # of a kind in the page's map
@@ -35,7 +34,6 @@ def write_solve_report(
     for line in lines[0 if not solved.converged else 1 :]:  # the first one tells what the cards do
         page.text(line, warn=not solved.converged)
     where, squares = folder / "figures" / "graph.png", folder / "figures" / "edges.png"
-    draw_graph(where, before, solved)
     caption = "The solved poses and the edges between poses that do not follow each other."
     page.scene(graph_scene(before, solved, ids), caption, where)
     if solved.graph.edges:
@@ -78,33 +76,6 @@ def graph_scene(before: np.ndarray, solved: SolvedGraph, ids: Sequence[int]) -> 
     held = list(solved.fixed)
     scene.points("held", [str(ids[i]) for i in held], pose[held], colour(1), shape="triangle")
     return scene
-
-
-def draw_graph(path: Target, before: np.ndarray, solved: SolvedGraph) -> None:
-    """The solved poses, the edges used and dropped, and where the solve began."""
-    graph = solved.graph
-    with figure(path, 8.0, 7.0) as (fig, ax):
-        ax.plot(before[:, 0], before[:, 1], color=MUTED, linewidth=0.5, label="where the solve began")
-        step = np.abs(graph.second - graph.first) == 1
-        for name, rows, tint, width in (
-            ("steps", step & solved.used, colour(0), 0.9),
-            ("closures", ~step & solved.used, colour(2), 0.5),
-            ("dropped", ~solved.used, colour(5), 0.5),
-        ):
-            if rows.any():
-                ends = np.stack([graph.pose[graph.first[rows], :2], graph.pose[graph.second[rows], :2]], axis=1)
-                ax.add_collection(LineCollection(list(ends), colors=tint, linewidths=width, label=name))
-        ax.plot(graph.pose[:, 0], graph.pose[:, 1], ".", color=colour(0), markersize=1.5)
-        held = graph.pose[list(solved.fixed)]
-        if len(held):
-            ax.plot(held[:, 0], held[:, 1], "s", color=colour(1), markersize=5, label="held")
-        spread = graph.pose[:, :2]
-        middle, half = 0.5 * (spread.max(axis=0) + spread.min(axis=0)), 0.55 * np.ptp(spread, axis=0).max() + 0.5
-        ax.set_xlim(middle[0] - half, middle[0] + half)
-        ax.set_ylim(middle[1] - half, middle[1] + half)
-        as_map(ax, "Pose graph")
-        ax.set_aspect("equal", adjustable="box")
-        fig.legend(loc="outside lower center", ncols=5)
 
 
 def _draw_squares(path: Path, solved: SolvedGraph) -> None:

@@ -43,6 +43,9 @@ BESIDE: Sequence[tuple[int, int, Literal["left", "center", "right"], Literal["bo
     (0, 7, "center", "bottom"), (0, -7, "center", "top"), (8, 0, "left", "center"), (-8, 0, "right", "center"),
 )  # fmt: skip
 
+MOST_TOLD = 2 * len(PALETTE)  # entries of a legend
+FACTORS = (1, 2, 5, 10, 20, 50, 100)  # by which ellipses are drawn larger
+
 _RC: Any = {
     "font.size": 9,
     "axes.spines.top": False,
@@ -217,3 +220,18 @@ def draw_ellipse(
             **more,
         )
     )
+
+
+def legend_beside(ax: Axes, rows: int, title: str | None = None) -> None:
+    """A legend right of the axes, each name once, in columns of `rows`; none of so many that colours come again."""
+    named: dict[str, Any] = {}
+    for handle, name in zip(*ax.get_legend_handles_labels(), strict=True):
+        named.setdefault(name, handle)
+    if 0 < len(named) <= min(3 * rows, MOST_TOLD):
+        columns = -(-len(named) // rows)
+        ax.legend([*named.values()], [*named], loc="upper left", bbox_to_anchor=(1.0, 1.0), title=title, ncols=columns)
+
+
+def larger(typical: float, most: float) -> int:
+    """The largest round factor by which `typical` stays below `most`, at least 1."""
+    return ([f for f in FACTORS if f * typical < most] or [1])[-1]

@@ -11,24 +11,124 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ..core.gaussian import chi2_quantile
 from ..core.records import Track
+from ..evaluation.swarm import squared_errors
 from ..swarm import bearing as model
 from ..swarm.moving.result import SwarmTrack
 from ..swarm.network import BearingNetwork
 from ..swarm.result import SwarmEstimate
 from .html import Page
 from .scene import Scene, Shape
-from .style import MUTED, PALETTE, TRUTH, colour
-from .swarm_figures import (
-    MOST_ERRORS,
-    SOME,
-    deviation_figure,
-    network_figure,
-    residual_figure,
-    shape_figure,
-    track_errors_figure,
-    tracks_figure,
-)
+from .style import MUTED, PALETTE, TRUTH, Target, as_map, colour, figure
+
+FEW = 60  # robots up to which each is named
+MOST_ERRORS = 8  # robots whose errors are drawn over time
+SOME = 1500  # up to which each has its ellipse and each sighting its line
+BLUE, ORANGE, RED = PALETTE[0], PALETTE[1], PALETTE[5]
+
+
+def shape_figure(
+    path: Path,
+    net: BearingNetwork,
+    estimate: SwarmEstimate,
+    aligned: Float[np.ndarray, "n d"],
+    truth: Float[np.ndarray, "n d"],
+) -> None:
+    """The paper's Fig. 4: the shape is right; beside it the same, brought onto the truth."""
+    with figure(path, 10.0, 4.8, ncols=2) as (fig, axes):
+        for ax, p, title, unit in (
+            (axes[0], estimate.position, "As answered: place and scale are free", "1"),
+            (axes[1], aligned, "The same shape, fitted to the truth", "m"),
+        ):
+            if p is aligned:
+                ax.plot(truth[:, 0], truth[:, 1], "o", mfc="none", mec=TRUTH, ms=_size(len(net)) + 3, label="truth")
+            ok = estimate.localisable
+            ax.plot(p[ok, 0], p[ok, 1], "*", color=BLUE, ms=_size(len(net)), ls="none", label="located")
+            as_map(ax, title, unit)
+        fig.legend(*axes[1].get_legend_handles_labels(), loc="outside lower center", ncols=2)
+
+
+def deviation_figure(
+    path: Path,
+    estimate: SwarmEstimate,
+    aligned: Float[np.ndarray, "n d"] | None,
+    truth: Float[np.ndarray, "n d"] | None,
+) -> None:
+    """How sure each robot is; with truth, whether it is as sure as it should be."""
+    assert estimate.cov is not None  # noqa: S101
+    free = estimate.localisable & ~estimate.anchor
+    std = np.sqrt(np.trace(estimate.cov[free], axis1=1, axis2=2))
+    honest = truth is not None and aligned is not None and not estimate.gauge
+    with figure(path, 9.5 if honest else 5.5, 3.6, ncols=2 if honest else 1) as (_, axes):
+        ax = np.atleast_1d(axes)[0]
+        unit = "1" if "scale free" in estimate.gauge else "m"
+        if len(std) <= FEW // 2:
+            names = [name for name, here in zip(estimate.ids, free, strict=True) if here]
+            ax.barh(names, std, color=BLUE)
+            ax.invert_yaxis()
+        else:
+            ax.hist(std, bins=min(60, max(8, len(std) // 5)), color=BLUE)
+            ax.set_ylabel("robots")
+        ax.set_title("Standard deviation of each robot")
+        ax.set_xlabel("standard deviation, the scale being free" if unit == "1" else "standard deviation [m]")
+        if honest and truth is not None and aligned is not None:
+            e = (aligned - truth)[free]
+            have = np.isfinite(e).all(axis=1)
+            d = np.sort(squared_errors(e[have], estimate.cov[free][have]))
+            share = (np.arange(len(d)) + 0.5) / max(len(d), 1)
+            said = np.array([chi2_quantile(float(s), float(estimate.dim)) for s in share])
+            axes[1].plot(said, d, ".", color=BLUE, ms=4)
+            top = float(said.max(initial=1.0))
+            axes[1].plot([0, top], [0, top], color=TRUTH, lw=1)
+            axes[1].set_title("Squared errors over their covariances")
+            axes[1].set_xlabel(f"chi-square quantile, {estimate.dim} degrees of freedom")
+            axes[1].set_ylabel("found")
+
+
+def residual_figure(
+    path: Path, whitened: Float[np.ndarray, " r"], outlier: Bool[np.ndarray, " m"], left: float
+) -> None:
+    """Whitened residuals beside the density they should have; `left`: the variance that fitting leaves them."""
+    with figure(path, 5.5, 3.6) as (_, ax):
+        edge = 5.0
+        ax.hist(
+            np.clip(whitened, -edge, edge),
+            bins=np.linspace(-edge, edge, int(np.clip(len(whitened) // 10, 11, 61))),
+            density=True,
+            color=BLUE,
+        )
+        x = np.linspace(-edge, edge, 200)
+        ax.plot(x, np.exp(-0.5 * x * x / left) / np.sqrt(2.0 * np.pi * left), color=TRUTH, lw=1.2, label="expected")
+        ax.set_title(f"Residuals over sigma ({int(outlier.sum())} outliers not used)")
+        ax.set_xlabel("residual / sigma (beyond 5: at 5)")
+        ax.set_ylabel("density")
+        ax.legend()
+
+
+def track_errors_figure(
+    path: Target, ids: tuple[str, ...], track: SwarmTrack, truth: dict[int, Float[np.ndarray, "k d"]], anchors: Any
+) -> None:
+    """Errors over time and the two standard deviations that were promised."""
+    t0 = min(float(one.t[0]) for one in track.tracks.values())
+    with figure(path, 8.0, 3.8) as (_, ax):
+        shown = [k for k in track.tracks if k in truth and k not in anchors][:MOST_ERRORS]
+        for k in shown:
+            one, tint = track.tracks[k], colour(k)
+            error = np.linalg.norm(one.position - truth[k], axis=1)
+            ax.plot(one.t - t0, error, color=tint, lw=0.9, label=ids[k])
+            if one.cov is not None:
+                ax.plot(one.t - t0, 2.0 * np.sqrt(np.trace(one.cov, axis1=1, axis2=2)), color=tint, lw=0.7, ls=":")
+        ax.set_title("Position error (solid) and two standard deviations (dotted)")
+        ax.set_xlabel("time [s]")
+        ax.set_ylabel("error [m]")
+        ax.set_ylim(bottom=0.0)
+        ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+
+
+def _size(n: int) -> float:
+    return float(np.clip(40.0 / np.sqrt(max(n, 1)), 2.0, 7.0))
+
 
 ROWS = 40  # robots listed on the page
 FREE = "Known positions (--anchor) are too few to fix everything. The shape is found;"
@@ -64,9 +164,8 @@ def write_network_report(out: Path, story: NetworkStory, lines: Sequence[str], m
     if estimate.gauge:
         page.text(f"{FREE} {estimate.gauge}. {MORE}", warn=True)
     page.section("The network")
-    scale = network_figure(figures / "network.png", net, estimate, story.truth)
     front, *sides = network_scenes(net, estimate, story.truth)
-    page.scene(front, told_network(net, estimate, scale), figures / "network.png")
+    page.scene(front, told_network(net, estimate), figures / "network.png", *sides)
     for side in sides:
         page.scene(side, "The same from the side.")
     page.warnings(metrics["warnings"])
@@ -113,7 +212,6 @@ def write_moved_report(out: Path, story: MovedStory, lines: Sequence[str], metri
         page.text(f"{FREE} {story.track.gauge}. {MORE}", warn=True)
     page.section("Trajectories")
     truth = dict(story.truth)
-    tracks_figure(figures / "tracks.png", story.ids, story.track, story.anchors, truth)
     scene = moved_scene(story.ids, story.track, story.anchors, truth)
     page.scene(scene, "The trajectory of every robot, and its 95 % ellipse at the time shown.", figures / "tracks.png")
     page.warnings(metrics["warnings"])
@@ -190,13 +288,12 @@ def network_scenes(net: BearingNetwork, estimate: SwarmEstimate, truth: Float[np
     return [_network(net, estimate, truth, plane) for plane in PLANES[net.dim]]
 
 
-def told_network(net: BearingNetwork, estimate: SwarmEstimate, scale: float) -> str:
-    """What the first of `network_scenes` shows; scale: how many times larger the picture beside draws ellipses."""
+def told_network(net: BearingNetwork, estimate: SwarmEstimate) -> str:
+    """What the first of `network_scenes` shows."""
     if len(net) > SOME:
         caption = "Robots as located, without their ellipses and sightings: there are too many."
     else:
-        larger = f" figures/network.png draws them {scale:g} times larger." if scale != 1.0 else ""
-        caption = f"Robots as located, with 95 % ellipses.{larger}"
+        caption = "Robots as located, with 95 % ellipses."
     if estimate.anchor.any():
         caption += " Triangles are anchors."
     if not estimate.localisable.all():

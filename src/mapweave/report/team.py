@@ -66,7 +66,15 @@ def _add(page: Page, png: Path, caption: str) -> None:
 
 def _map(page: Page, png: Path, story: TeamStory, team: TeamMap) -> None:
     """One component to move about in, its picture kept beside."""
-    caption = team_figures.fused_map(png, story, team)
+    legend = (
+        "Landmarks with the 95 % ellipses of the map's shape, and where the robots drove: a ring where each began, an "
+        "arrow with its 95 % ellipse where it was at the time shown."
+    )
+    page.scene(team_scene(story, team), legend, png)
+
+
+def team_scene(story: TeamStory, team: TeamMap) -> Scene:
+    """The landmarks of one component with the ellipses of its shape, and where its robots drove."""
     scene = Scene("Map of landmarks and of where the robots drove")
     many = len(team.robots) > MOST_NAMED
     for robot in team.robots:
@@ -74,11 +82,7 @@ def _map(page: Page, png: Path, story: TeamStory, team: TeamMap) -> None:
             name = f"robot {robot_key(robot)}"
             scene.track("robots" if many else name, name, team.tracks[robot], style.colour(story.colour_of(robot)))
     landmark_points(scene, team, team_figures.shape(team.landmarks))
-    legend = (
-        "Landmarks with the 95 % ellipses of the map's shape, and where the robots drove: a ring where each began, an "
-        "arrow with its 95 % ellipse where it was at the time shown."
-    )
-    page.scene(scene, legend if not scene.empty else caption, png)
+    return scene
 
 
 def _lead(story: TeamStory) -> str:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from ..core import se2
 from ..core.findings import Finding
@@ -60,9 +59,7 @@ def thinned(track: Track, most: int = 3000) -> np.ndarray:
     return np.asarray(np.insert(track.pose[at], np.unique(np.searchsorted(at, style.gaps(track.t))), np.nan, axis=0))
 
 
-FACTORS = (1, 2, 5, 10, 20, 50, 100)
 MOST_PANELS = 12
-MOST_TOLD = 2 * len(style.PALETTE)  # entries of a legend
 MANY = 40  # landmarks from which labels would cover the map
 # parameter, its name, and the value that changes nothing
 CALIBRATION = (
@@ -81,49 +78,10 @@ def shape(landmarks: LandmarkMap) -> LandmarkMap:
     return LandmarkMap(landmarks.ids, landmarks.mean, shape_covariance(landmarks.mean, landmarks.cov), landmarks.frame)
 
 
-def legend_beside(ax: Axes, rows: int, title: str | None = None) -> None:
-    """A legend right of the axes, in columns of `rows`; none of so many that colours come again and again."""
-    count = len(ax.get_legend_handles_labels()[0])
-    if 0 < count <= min(3 * rows, MOST_TOLD):
-        ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), title=title, ncols=-(-count // rows))
-
-
-def exaggeration(landmarks: LandmarkMap) -> int:
-    """How many times larger ellipses are drawn, so that a typical one is seen and does not cover its neighbours'."""
-    n = len(landmarks)
-    if n < 2:
-        return 1
-    size = float(np.ptp(landmarks.mean, axis=0).max())
-    return larger(half_axis(landmarks), size * min(0.035, 0.15 / np.sqrt(n)))
-
-
 def half_axis(landmarks: LandmarkMap) -> float:
     """The larger half axis of the 95 % ellipse of a typical landmark [m]."""
     blocks = (landmarks.cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] for i in range(len(landmarks)))
     return float(np.median([ellipse(block)[0] for block in blocks]))
-
-
-def larger(typical: float, most: float) -> int:
-    """The largest round factor by which `typical` stays below `most`, at least 1."""
-    return ([f for f in FACTORS if f * typical < most] or [1])[-1]
-
-
-def fused_map(path: style.Target, story: TeamStory, team: TeamMap) -> str:
-    """One component with its trajectories. The caption is returned."""
-    landmarks = shape(team.landmarks)
-    grow = exaggeration(landmarks)
-    with style.figure(path, 8.4, 6.0) as (_, ax):
-        for robot in team.robots:
-            if robot in team.tracks:
-                _draw_track(ax, story, team, robot)
-        _draw_landmarks(ax, landmarks, grow)
-        style.as_map(ax, "The fused map")
-        legend_beside(ax, 20, "driven by")
-    times = f", drawn {grow} times larger" if grow > 1 else ""
-    return (
-        f"Landmarks with their 95 % ellipses (the frame left free{times}), and where the robots drove. "
-        "A ring marks where each began."
-    )
 
 
 def local_against_fused(path: Path, story: TeamStory) -> str:
@@ -138,7 +96,7 @@ def local_against_fused(path: Path, story: TeamStory) -> str:
     laid = {r: _laid_over(own[r], scales.get(r, 1.0), team.landmarks) for r in robots}  # 1: a robot placed afterwards
     size = float(np.ptp(team.landmarks.mean, axis=0).max())
     typical = float(np.median(np.concatenate([np.hypot(*(p - q).T) for p, q in laid.values()])))
-    grow = larger(typical, 0.04 * size)
+    grow = style.larger(typical, 0.04 * size)
     with style.figure(path, 3.3 * columns + 0.4, 2.9 * rows + 0.3, nrows=rows, ncols=columns, squeeze=False) as (
         _,
         axes,
@@ -188,7 +146,7 @@ def uncertainty(path: Path, story: TeamStory) -> str:
             ax.set_xticks(range(len(names)), names, rotation=90 if max(map(len, names), default=0) > 3 else 0)
         ax.grid(visible=False, axis="x")
         ax.set_title("What fusing gains")
-        legend_beside(ax, 10)
+        style.legend_beside(ax, 10)
     return (
         "Standard deviation of each landmark's position, in the frame left free: every robot alone, and all together."
     )
@@ -223,22 +181,6 @@ def _laid_over(own: LandmarkMap, scale: float, fused: LandmarkMap) -> tuple[np.n
     there = fused.mean[[where[own.ids[i]] for i in both]].reshape(-1, 2)
     mine = own.mean[both].reshape(-1, 2) / scale
     return (se2.act(se2.align(mine, there), mine) if len(both) > 1 else there), there
-
-
-def _draw_track(ax: Axes, story: TeamStory, team: TeamMap, robot: str) -> None:
-    pose = thinned(team.tracks[robot])
-    k = story.colour_of(robot)
-    color: Any = style.colour(k)
-    ax.plot(pose[:, 0], pose[:, 1], color=color, lw=0.9, alpha=0.75, label=f"robot {robot_key(robot)}", zorder=1)
-    ax.plot(*pose[:1, :2].T, "o", color=color, mfc="white", mew=1.8, ms=8, zorder=4)
-
-
-def _draw_landmarks(ax: Axes, landmarks: LandmarkMap, grow: float) -> None:
-    ax.plot(*landmarks.mean.T, ".", color=style.INK, ms=4, zorder=3)
-    for i, p in enumerate(landmarks.mean):
-        style.draw_ellipse(ax, p, landmarks.cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2], style.INK, grow, zorder=3)
-    if len(landmarks) <= MANY:
-        style.name_points(ax, landmarks.ids, landmarks.mean)
 
 
 def deviations(landmarks: LandmarkMap) -> dict[str, float]:

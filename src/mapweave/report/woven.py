@@ -5,28 +5,25 @@ With its figures: all robots in one map, closures believed and refused, two maps
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.collections import LineCollection
 
 from ..core import se2
 from ..core.findings import Finding
 from ..core.names import robot_name
 from ..core.records import Track
-from ..laser.laser_map import GridMap, LaserMap
+from ..laser.laser_map import LaserMap
 from ..laser.robot_graph import RobotGraph
 from ..laser.submaps import gathered
 from ..mapping.merge import Merge
-from ..mapping.woven_map import ClosureRow, WovenMap
+from ..mapping.woven_map import WovenMap
 from .html import Page, told_list
-from .laser_figures import SHADES, draw_intensity, draw_occupancy, laser_scene, map_size, map_window
-from .style import MUTED, TRUTH, Target, as_map, colour, figure
+from .laser_figures import SHADES, draw_intensity, laser_scene
+from .scene import Scene
+from .style import Target, as_map, colour, figure
 
 ROBOTS = (0, 1, 3, 4, 6, 2, 5)  # places in the palette, those of closures last
-STYLES = ("-", "-.", ":")  # of lines, for robots beyond the palette
-TIE, LOOP, REFUSED = 2, 0, 5  # colours of closures between robots, within one, and of those refused
 WALLS = 0.1  # [m] of the points two maps are drawn with
 
 
@@ -35,55 +32,14 @@ def robot_colour(k: int) -> str:
     return colour(ROBOTS[k % len(ROBOTS)])
 
 
-def draw_component(
-    path: Target, woven: WovenMap, truths: Mapping[str, Track], places: Mapping[str, int] | None = None
-) -> None:
-    """The map with every robot's trajectory in a colour of its own, and the truth where there is one.
-
-    places: robot -> its place among all robots, which gives it its colour; without them its place in this map.
-    """
-    with figure(path, *map_size(woven.grid)) as (fig, ax):
-        draw_occupancy(ax, woven.grid)
-        for i, (robot, track) in enumerate(woven.tracks.items()):
-            k = i if places is None else places[robot]
-            style = STYLES[k // len(ROBOTS) % len(STYLES)]
-            ax.plot(*track.pose[:, :2].T, style, color=robot_colour(k), label=robot_name(robot), linewidth=1.2)
-            ax.plot(*track.pose[0, :2], "o", color=robot_colour(k), markeredgecolor="white", markersize=6)
-            ax.plot(*track.pose[-1, :2], "s", color=robot_colour(k), markeredgecolor="white", markersize=6)
-        for k, track in enumerate(truths_in(woven, truths)):
-            name = "truth" if k == 0 else None
-            ax.plot(*track.pose[:, :2].T, color=TRUTH, label=name, linewidth=0.8, linestyle="--")
-        map_window(ax, woven.grid)
-        fig.legend(loc="outside lower center", ncols=6)
-        as_map(ax, "One map; a dot where a robot begins, a square where it ends")
-        ax.set_aspect("equal", adjustable="box")
-
-
-def draw_closures(path: Target, woven: WovenMap) -> None:
-    """Where closures were tried: those believed, within a robot and between two, and those refused."""
-    both = {*woven.robots}
-    rows = [c for c in woven.closures if c.robot_a in both and c.robot_b in both]
-    kinds = (
-        (f"within a robot ({_count(rows, tie=False)})", LOOP, "-", [c for c in rows if c.accepted and not _ties(c)]),
-        (f"between robots ({_count(rows, tie=True)})", TIE, "-", [c for c in rows if c.accepted and _ties(c)]),
-        (f"refused ({sum(not c.accepted for c in rows)})", REFUSED, ":", [c for c in rows if not c.accepted]),
-    )
-    with figure(path, *map_size(woven.grid)) as (fig, ax):
-        draw_faint(ax, woven.grid)
-        for robot in woven.robots:
-            ax.plot(*woven.tracks[robot].pose[:, :2].T, color=MUTED, linewidth=0.8)
-        for name, k, style, held in reversed(kinds):
-            if not held:
-                continue
-            ends = [c.at for c in held]
-            ax.add_collection(LineCollection(ends, colors=colour(k), linewidths=1.4, linestyles=style, label=name))
-            mark = "x" if k == REFUSED else "."
-            ax.plot(*np.concatenate(ends).T, mark, color=colour(k), markersize=4, markeredgewidth=0.8)
-        map_window(ax, woven.grid)
-        if rows:
-            fig.legend(loc="outside lower center", ncols=4)
-        as_map(ax, "Closures tried")
-        ax.set_aspect("equal", adjustable="box")
+def component_scene(
+    woven: WovenMap, truth: Mapping[str, Track], places: Mapping[str, int], findings: Sequence[Finding] = ()
+) -> Scene:
+    """The map of one component, its robots in the colours of their `places` among all, places found, the truth."""
+    colours = {robot: robot_colour(places[robot]) for robot in woven.robots}
+    seen = [robot for robot in woven.robots if robot in truth]
+    others = {f"truth of {robot_name(r)}": t for r, t in zip(seen, truths_in(woven, truth), strict=False)}
+    return laser_scene(woven.grid, woven.tracks, colours, woven.closures, others, findings)
 
 
 def draw_pair(
@@ -129,20 +85,6 @@ def truths_in(woven: WovenMap, truths: Mapping[str, Track]) -> list[Track]:
         return []
     T = se2.align(np.concatenate([a for a, _ in pairs]), np.concatenate([b for _, b in pairs]))
     return [Track(truth.t, se2.compose(T, truth.pose)) for truth, _ in known]
-
-
-def draw_faint(ax: Any, grid: GridMap) -> None:
-    """The occupancy in greys so light that lines stand out on it."""
-    draw_occupancy(ax, grid)
-    ax.images[-1].set_alpha(0.45)
-
-
-def _ties(c: ClosureRow) -> bool:
-    return c.robot_a != c.robot_b
-
-
-def _count(rows: Sequence[ClosureRow], *, tie: bool) -> int:
-    return sum(c.accepted and _ties(c) == tie for c in rows)
 
 
 def _walls(graph: RobotGraph) -> Float[np.ndarray, "m 2"]:
@@ -253,11 +195,7 @@ def _component(
     accepted = sum(c.accepted for c in woven.closures)
     driven = [f"{robot_name(r)} {_way(woven.tracks[r]):.0f} m" for r in woven.robots]
     figures = folder / "figures"
-    draw_component(figures / f"component{k}_map.png", woven, truth, places)
-    colours = {robot: robot_colour(places[robot]) for robot in woven.robots}
-    seen = [robot for robot in woven.robots if robot in truth]
-    others = {f"truth of {robot_name(r)}": t for r, t in zip(seen, truths_in(woven, truth), strict=False)}
-    scene = laser_scene(woven.grid, woven.tracks, colours, woven.closures, others, findings)
+    scene = component_scene(woven, truth, places, findings)
     page.scene(
         scene,
         SHADES,
@@ -267,7 +205,7 @@ def _component(
         f"Driven: {', '.join(driven)}. {len(woven.graph):,} keyframes; of {len(woven.closures):,} loop closures tried "
         f"{accepted:,} are believed. The frame is the first pose of {robot_name(woven.robots[0])}."
     )
-    draw_closures(figures / f"component{k}_closures.png", woven)
+    scene.draw(figures / f"component{k}_closures.png", hidden=[f"truth of {robot_name(r)}" for r in woven.robots])
     page.figure(
         figures / f"component{k}_closures.png",
         "From keyframe to keyframe; closures.csv says why each was accepted or refused.",

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any, ClassVar
@@ -16,7 +17,7 @@ from ...exploration.landmarks.experiment import LandmarkRunRecord, explore_once
 from ...exploration.mission import run_seeds
 from ...io.directory import check_target, plain
 from ...io.kept import kept_parts
-from ...report.exploration import draw_map
+from ...report.exploration import landmark_scene
 from ...report.result import Rows
 from ...report.style import TRUTH, Target, colour, figure, marker
 from ..reproduction import Check, Claim, Drawing, Numbers, Reproduction, Rule, Section, Typed, rule, sentences
@@ -440,6 +441,7 @@ class YuanReproduction(Reproduction):
 
     def sections(self) -> tuple[Section, ...]:
         two, one = self.pictures
+        scene = partial(landmark_scene, cfg=run().cfg)
         steps = {o.case.name: o.mean("steps") for o in self.outcomes if o.case.group == "ablation"}
         spread = Drawing(
             "planners.png",
@@ -458,8 +460,8 @@ class YuanReproduction(Reproduction):
             "unseen": (spread,),
         }
         runs = (
-            Drawing("two.png", "Fig. 1: two robots, calibrated noise, the first run.", lambda t: draw_map(t, two)),
-            Drawing("one.png", "Fig. 2: one robot, calibrated noise, the first run.", lambda t: draw_map(t, one)),
+            Drawing("two.png", "Fig. 1: two robots, calibrated noise, the first run.", lambda t: scene(two).draw(t)),
+            Drawing("one.png", "Fig. 2: one robot, calibrated noise, the first run.", lambda t: scene(one).draw(t)),
         )
         tables = {
             group: Section(title, HEAD, self.table(group), drawn.get(group, ()), file=group)
