@@ -493,12 +493,12 @@ DATUM = np.array([35.7, 139.75, 40.0])
 """Latitude [deg], longitude [deg], height [m] of the point from which simulated worlds measure east and north."""
 EVERY = 1.0  # [s] from fix to fix
 JUMPS, JUMP = 0.03, 60.0  # share of fixes that lie elsewhere, and sd of how far [m] on either axis
-APART = 150.0  # [m] sd of where a drive begins, on either axis
+DRIVES_APART = 150.0  # [m] sd of where a drive begins, on either axis
 
 
 def placed(rng: np.random.Generator) -> Float[np.ndarray, "3"]:
     """Where a simulated world lies east and north of `DATUM`, and how it is turned."""
-    return np.array([*(APART * rng.standard_normal(2)), rng.uniform(-np.pi, np.pi)])
+    return np.array([*(DRIVES_APART * rng.standard_normal(2)), rng.uniform(-np.pi, np.pi)])
 
 
 def simulated_fixes(truth: Track, sd: float, rng: np.random.Generator) -> Fixes:

@@ -184,8 +184,8 @@ class LaserScenarioConfig(WorldConfig):
     Lengths in metres, headings in radians; a file's name is relative to the TOML file; an office has its own starts.
     """
 
-    sensor: Literal["laser"] = "laser"
-    office: float | None = None  # [m^2]
+    sensor: Literal["laser"] = "laser"  # what the robots carry: tells such a file from one of a landmark world
+    office: float | None = None  # [m^2] floor of an office that is drawn anew for every run
     floor: int | None = None  # the seed of one office for all runs; else each run has its own
 
 
