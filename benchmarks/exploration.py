@@ -21,7 +21,7 @@ from mapweave.exploration.landmarks.config import ExploreConfig, find_scenario, 
 from mapweave.exploration.landmarks.experiment import CALIBRATED, LandmarkMission, explore_many, with_noise
 from mapweave.exploration.landmarks.team import Team
 from mapweave.fusion.handover import hand_over
-from mapweave.kernels.landmarks import ekf, ekf_apply_drive, ekf_start, ekf_state
+from mapweave.kernels.landmarks import ekf, ekf_apply_drive, ekf_state
 from mapweave.kernels.landmarks.submap import sight_jacobian
 from mapweave.landmarks.config import EkfSlamConfig, noise
 from mapweave.landmarks.landmark_map import GlobalMap, Submap
@@ -261,7 +261,7 @@ def compiled(P: np.ndarray, marks: np.ndarray, script: list, u: np.ndarray, cfg:
         gate=1e9, far=1e9,
     )  # fmt: skip
     known, Phi = noise(config), np.zeros((3, n))
-    waiting = np.zeros((n_marks, ekf_start.CANDIDATES, 2))
+    waiting = np.zeros((n_marks, ekf.CANDIDATES, 2))
     places = ekf_state.LandmarkTable(
         np.ones(n_marks, bool), waiting, np.zeros(n_marks, np.int64), np.zeros(1, np.int64)
     )

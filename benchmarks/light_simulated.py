@@ -9,10 +9,9 @@ of what the settings give it.
 import argparse
 from dataclasses import replace
 
-from mapweave.papers.hara.methods import score
-
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import map_laser
+from mapweave.papers.hara.experiments import score
 from mapweave.sim.laser import LAWS
 from mapweave.sim.laser_worlds import CorridorConfig, simulate_corridor
 

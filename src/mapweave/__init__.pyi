@@ -5,7 +5,7 @@ from .api.compare import Comparison as Comparison, compare as compare
 from .api.configuration import configuration as configuration
 from .api.demo import demo as demo
 from .api.doctor import Diagnosis as Diagnosis, doctor as doctor
-from .api.edit import edit as edit
+from .api.view import edit as edit
 from .api.evaluate import Evaluation as Evaluation, evaluate as evaluate
 from .api.evaluate import RelationEvaluation as RelationEvaluation
 from .api.evaluate import SwarmEvaluation as SwarmEvaluation
@@ -19,8 +19,8 @@ from .api.laser_result import LaserResult as LaserResult
 from .api.slam import LaserSlam as LaserSlam
 from .api.live import live_map as live_map, live_robot as live_robot
 from .api.live_keys import live_keys as live_keys
-from .api.live_result import LiveRobot as LiveRobot
-from .api.live_robots import live_robots as live_robots
+from .api.live import LiveRobot as LiveRobot
+from .api.live import live_robots as live_robots
 from .api.live_ros2 import RosOptions as RosOptions
 from .api.live_view import live_view as live_view
 from .api.result import load as load

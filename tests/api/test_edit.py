@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import mapweave
-from mapweave.api.edit import Editor
+from mapweave.api.view import Editor
 from mapweave.core import se2
 from mapweave.core.errors import UsageError
 

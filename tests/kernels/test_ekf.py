@@ -5,7 +5,7 @@ import pytest
 
 from mapweave.core.gaussian import joseph
 from mapweave.core.se2 import wrap_angle
-from mapweave.kernels.landmarks import ekf, ekf_apply_drive, ekf_drive, ekf_sight, ekf_start, ekf_state
+from mapweave.kernels.landmarks import ekf, ekf_apply_drive, ekf_drive, ekf_state
 
 from . import robot_models as models
 
@@ -140,8 +140,8 @@ def test_one_sighting_equals_the_dense_update(gate):
     K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
     wanted, wanted_P = x + K @ e, joseph(P, K, H, R)
     U = np.empty((2, len(x)))
-    nis, got_weight = ekf_sight.sight(x, P, U, 0, 1, z[0], z[1], noise, np.zeros(1, np.int64))
-    ekf_sight.release(P, U, 2)
+    nis, got_weight = ekf.sight(x, P, U, 0, 1, z[0], z[1], noise, np.zeros(1, np.int64))
+    ekf.release(P, U, 2)
     assert np.isclose(nis, d2)
     assert np.isclose(got_weight, weight)
     assert (weight < 1.0) == (gate < 1.0)
@@ -157,15 +157,15 @@ def test_a_frame_worked_in_at_once_is_its_sightings_one_by_one():
     slots, started = np.array([2, -1, 0, 1]), np.ones(3, bool)
     z = np.array([[3.0, 0.5], [1.0, 0.0], [4.0, 0.9], [2.5, 0.7]])
     astray = np.zeros(1, np.int64)
-    places = ekf_state.LandmarkTable(started, np.zeros((3, ekf_start.CANDIDATES, 2)), np.zeros(3, np.int64), astray)
+    places = ekf_state.LandmarkTable(started, np.zeros((3, ekf.CANDIDATES, 2)), np.zeros(3, np.int64), astray)
     nis, weight = np.zeros(4), np.zeros(4)
     seen = ekf_state.CameraFrame(slots, z[:, 0].copy(), z[:, 1].copy())
     ekf.frame(x, P, seen, noise, places, ekf_state.UpdateOutcomes(nis, weight))
     U, alone = np.empty((2, len(y))), np.zeros(1, np.int64)
     for slot, (r, b) in zip(slots, z, strict=True):
         if slot >= 0:
-            ekf_sight.sight(y, R, U, 0, slot, r, b, noise, alone)
-            ekf_sight.release(R, U, 2)
+            ekf.sight(y, R, U, 0, slot, r, b, noise, alone)
+            ekf.release(R, U, 2)
     assert np.allclose(x, y, atol=1e-12)
     assert np.allclose(P, R, atol=1e-12)
     assert np.array_equal(P, P.T)
@@ -185,7 +185,7 @@ def test_a_landmark_starts_where_it_was_seen_with_its_cross_covariances():
     old = P[:-2, :-2].copy()
     cross = np.zeros((2, len(old)))
     cross[:, :] = G[:, :8] @ old[:8]
-    ekf_start.begin(x, P, len(x), 2, z[0], z[1], PLAIN)
+    ekf.begin(x, P, len(x), 2, z[0], z[1], PLAIN)
     assert np.allclose(x[-2:], place(np.concatenate([x[:8], z])))
     assert np.allclose(P[-2:, :-2], cross, atol=1e-9)
     assert np.allclose(P[-2:, -2:], G[:, :8] @ old[:8, :8] @ G[:, :8].T + G[:, 8:] @ R @ G[:, 8:].T, atol=1e-9)
@@ -195,8 +195,8 @@ def test_a_landmark_starts_where_it_was_seen_with_its_cross_covariances():
 def test_a_landmark_waits_until_enough_sightings_agree():
     x, _ = random_state(9)
     noise = PLAIN._replace(agree=3)
-    waiting, count = np.zeros((1, ekf_start.CANDIDATES, 2)), np.zeros(1, np.int64)
-    said = [ekf_start.consider(x, 0, r, 0.1, noise, waiting, count) for r in (2.0, 6.0, 2.05, 4.0, 1.95)]
+    waiting, count = np.zeros((1, ekf.CANDIDATES, 2)), np.zeros(1, np.int64)
+    said = [ekf.consider(x, 0, r, 0.1, noise, waiting, count) for r in (2.0, 6.0, 2.05, 4.0, 1.95)]
     assert said == [False, False, False, False, True]
 
 
@@ -214,12 +214,12 @@ def test_coasting_forgets_speed_and_turn_rate_and_keeps_their_spread():
 
 def test_a_far_sighting_hardly_counts_unless_far_ones_keep_coming():
     noise, astray = PLAIN._replace(gate=2.0, far=10.0), np.zeros(1, np.int64)
-    assert ekf_sight.trust(1.9, noise, astray) == 1.0
-    assert np.isclose(ekf_sight.trust(4.0, noise, astray), 0.5)
-    first = [ekf_sight.trust(40.0, noise, astray) for _ in range(4)]
+    assert ekf.trust(1.9, noise, astray) == 1.0
+    assert np.isclose(ekf.trust(4.0, noise, astray), 0.5)
+    first = [ekf.trust(40.0, noise, astray) for _ in range(4)]
     assert np.allclose(first, [0.05 / 16, 0.05 / 16, 0.05 / 16, 0.05])
-    assert ekf_sight.trust(1.0, noise, astray) == 1.0
-    assert ekf_sight.trust(40.0, noise, astray) < 0.01
+    assert ekf.trust(1.0, noise, astray) == 1.0
+    assert ekf.trust(40.0, noise, astray) < 0.01
 
 
 def test_wrap_brings_angles_into_half_open_turn():
@@ -237,7 +237,7 @@ def test_a_replay_stands_at_every_stamp_of_commands_and_sightings_until_both_hav
     want_t = np.unique(np.concatenate([t, stamp]))
 
     def tables():
-        waiting = np.zeros((3, ekf_start.CANDIDATES, 2))
+        waiting = np.zeros((3, ekf.CANDIDATES, 2))
         return ekf_state.LandmarkTable(np.ones(3, bool), waiting, np.zeros(3, np.int64), np.zeros(1, np.int64))
 
     Phi, Q = cleared()
@@ -268,14 +268,14 @@ def test_a_replay_stands_at_every_stamp_of_commands_and_sightings_until_both_hav
 
 def test_sightings_of_one_place_agree_from_wherever_and_whichever_way_the_robot_looks():
     noise = PLAIN._replace(agree=4)
-    waiting, count = np.zeros((1, ekf_start.CANDIDATES, 2)), np.zeros(1, np.int64)
+    waiting, count = np.zeros((1, ekf.CANDIDATES, 2)), np.zeros(1, np.int64)
     place, said = np.array([2.0, -1.0]), []
     for pose in ([0.0, 0.0, 0.3], [1.0, 1.5, -2.0], [-1.0, 0.5, 2.9], [3.0, 0.0, 1.2]):
         x, _ = random_state(13)
         x[:3] = pose
         r, b = models.observe(x[:3], place)
         said.append(
-            ekf_start.consider(x, 0, r * x[ekf_state.RANGE_SCALE], b + x[ekf_state.BEARING_BIAS], noise, waiting, count)
+            ekf.consider(x, 0, r * x[ekf_state.RANGE_SCALE], b + x[ekf_state.BEARING_BIAS], noise, waiting, count)
         )
         np.testing.assert_allclose(waiting[0, len(said) - 1], place)
     assert said == [False, False, False, True]
@@ -290,17 +290,17 @@ def test_two_sightings_agree_within_three_deviations_of_their_distance(said, awa
     one = noise.range_floor**2 + (noise.range_share * r) ** 2 + (noise.bearing * r) ** 2
     place = models.locate(x[:3], np.array([r, b - x[ekf_state.BEARING_BIAS]]))
     for side in np.array([[1.0, 0.0], [0.0, -1.0], [-0.6, 0.8]]):
-        waiting, count = np.zeros((1, ekf_start.CANDIDATES, 2)), np.ones(1, np.int64)
+        waiting, count = np.zeros((1, ekf.CANDIDATES, 2)), np.ones(1, np.int64)
         waiting[0, 0] = place + away * 3.0 * np.sqrt(2.0 * one) * side
-        assert ekf_start.consider(x, 0, 4.0, b, noise, waiting, count) == (away < 1.0)
+        assert ekf.consider(x, 0, 4.0, b, noise, waiting, count) == (away < 1.0)
 
 
 def test_only_the_last_few_sightings_of_a_landmark_that_waits_are_remembered():
     x, _ = random_state(9)
     noise = PLAIN._replace(agree=2)
-    for others in range(2 * ekf_start.CANDIDATES):
-        waiting, count = np.zeros((1, ekf_start.CANDIDATES, 2)), np.zeros(1, np.int64)
+    for others in range(2 * ekf.CANDIDATES):
+        waiting, count = np.zeros((1, ekf.CANDIDATES, 2)), np.zeros(1, np.int64)
         ranges = [4.0, *(10.0 * 2.0**k for k in range(others)), 4.0]
-        said = [ekf_start.consider(x, 0, r, 0.4, noise, waiting, count) for r in ranges]
+        said = [ekf.consider(x, 0, r, 0.4, noise, waiting, count) for r in ranges]
         assert said[:-1] == [False] * (others + 1)
-        assert said[-1] == (others < ekf_start.CANDIDATES)
+        assert said[-1] == (others < ekf.CANDIDATES)

@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import eigh
 
 from mapweave.core.se2 import wrap_angle
-from mapweave.kernels.landmarks import ekf_apply_drive, ekf_drive, ekf_sight, ekf_smooth
+from mapweave.kernels.landmarks import ekf, ekf_apply_drive, ekf_drive, ekf_smooth
 from mapweave.kernels.landmarks.ekf_smooth import smooth
 from mapweave.kernels.landmarks.ekf_state import Commands, PoseRows, SightingRows
 
@@ -182,8 +182,8 @@ def test_a_sighting_moves_the_chain_as_it_moves_the_filter_whose_map_is_known(ga
     r, b = models.observe(x[:3], x[10:12])
     z = 1.04 * r + 0.02, b + 0.03 - 0.01
     y, U = x.copy(), np.zeros((2, 14))
-    ekf_sight.sight(y, whole, U, 0, 1, *z, noise, np.zeros(1, np.int64))
-    ekf_sight.release(whole, U, 2)
+    ekf.sight(y, whole, U, 0, 1, *z, noise, np.zeros(1, np.int64))
+    ekf.release(whole, U, 2)
     B = np.zeros((3, 11))
     ekf_smooth.fix(x, P, B, 1, *z, noise, np.zeros(1, np.int64))
     np.testing.assert_allclose(x, y, atol=1e-12)

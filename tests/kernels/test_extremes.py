@@ -268,8 +268,8 @@ KERNELS = [
 ]
 MADE_BY_US = {
     # modules whose numbers make no index, or whose indices are made by their callers from lengths of lists
-    "block_cholesky", "cells", "compiling", "dense", "elimination", "fronts", "pattern", "arcs", "laps", "tour_moves",
-    "tours", "wavefront", "ekf", "ekf_apply_drive", "ekf_drive", "ekf_sight", "ekf_smooth", "ekf_start", "ekf_state",
+    "block_cholesky", "cells", "compiling", "dense", "elimination", "fronts", "arcs", "laps",
+    "tours", "wavefront", "ekf", "ekf_apply_drive", "ekf_drive", "ekf_smooth", "ekf_state",
     "submap", "own_folder",
 }  # fmt: skip
 

@@ -5,8 +5,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from mapweave.kernels.exploration.tour_moves import improve_tours, open_length, tours_cost
-from mapweave.kernels.exploration.tours import balanced_tours
+from mapweave.kernels.exploration.tours import balanced_tours, improve_tours, open_length, tours_cost
 
 pytestmark = pytest.mark.kernel
 

@@ -6,8 +6,7 @@ import time
 import numpy as np
 import pytest
 
-from mapweave.api.live import live_robot
-from mapweave.api.live_robots import live_robots
+from mapweave.api.live import live_robot, live_robots
 from mapweave.api.live_ros2 import RosOptions
 from mapweave.core import se2
 from mapweave.core.errors import UsageError

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from mapweave.api.live_robots import live_robots
+from mapweave.api.live import live_robots
 from mapweave.api.live_ros2 import RosOptions
 from mapweave.api.map_laser import map_logs
 from mapweave.api.map_options import MapOptions

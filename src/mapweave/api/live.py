@@ -4,9 +4,11 @@ import math
 import time
 import uuid
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Event
+from typing import TYPE_CHECKING, Any
 
 from ..core.config import load
 from ..core.errors import ConfigError, DataError, UsageError
@@ -15,8 +17,9 @@ from ..core.landmark_log import LandmarkLog
 from ..core.laser_log import LaserLog
 from ..core.names import in_order, robot_key
 from ..core.paths import AnyConfig, path_arguments
+from ..core.version import __version__
 from ..core.workers import one_blas_thread
-from ..io.directory import check_target
+from ..io.directory import check_target, write_json
 from ..live.inbox import Inbox
 from ..live.isolation import without_culprits
 from ..live.landmark_robot import LandmarkRobot
@@ -29,14 +32,63 @@ from ..live.store import Store
 from ..live.topics import Topics
 from ..live.transport import LISTENING, Network, is_open, session
 from ..mapping.config import LaserConfig
+from ..report.result import ResultBase
 from .laser_result import LaserResult, starts_among
-from .live_result import LiveRobot
 from .live_ros2 import RosOptions, drive_ros2
 from .map_landmarks import LandmarkMapConfig, map_landmark_logs
 from .map_laser import LaserMapConfig
 from .map_laser import map_logs as map_lasers
 from .map_options import MapOptions
 from .team import TeamResult
+
+if TYPE_CHECKING:
+    from ..report.style import Target
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class LiveRobot(ResultBase):
+    """How a robot's live run ended. messages: sent, all on its disk; heard_by: map processes that have all.
+
+    history: the file that keeps them; sizes: of each message [bytes].
+    """
+
+    name: str
+    messages: int
+    heard_by: int
+    history: Path
+    sizes: tuple[int, ...]
+
+    @property
+    def metrics(self) -> dict[str, Any]:
+        return {
+            "version": __version__,
+            "name": self.name,
+            "messages": self.messages,
+            "bytes": sum(self.sizes),
+            "heard_by": self.heard_by,
+            "history": str(self.history),
+        }
+
+    def lines(self) -> list[str]:
+        heard = f"{self.heard_by} map process{' has' if self.heard_by == 1 else 'es have'} all of them"
+        sent = f"{self.name}: {self.messages} messages, {sum(self.sizes) / 1e3:.1f} kB, kept in {self.history}"
+        return [sent, heard if self.heard_by else "no map process has all of them yet"]
+
+    def draw(self, target: "Target") -> None:
+        """How much it told, message by message."""
+        from ..report.small_pages import draw_messages  # noqa: PLC0415  (figures cost half a second)
+
+        draw_messages(target, self.sizes, self.heard_by)
+
+    def write_into(self, folder: Path) -> None:
+        """metrics.json, report.html and its picture; the messages themselves stay in the history."""
+        from ..report.small_pages import write_small_page  # noqa: PLC0415  (figures cost half a second)
+
+        png = folder / "figures" / "messages.png"
+        self.draw(png)
+        write_small_page(folder, "What a robot told its team", self.lines(), self.headline(), png)
+        write_json(folder / "metrics.json", self.metrics)
+
 
 ROS2 = "ros2"
 INSECURE = Finding("network-open").text
@@ -346,3 +398,86 @@ def _mapped(logs: Sequence[LandmarkLog | LaserLog], options: MapOptions) -> Team
         raise DataError("no robot told what it saw: no map")
     sources = dict.fromkeys(Path(log.source).name for log in landmarks)
     return map_landmark_logs(landmarks, options, f"One map from {', '.join(sources)}")
+
+
+LOOK = 0.2  # [s] until it is looked again whether to stop
+
+
+@path_arguments
+def live_robots(
+    names: Sequence[str],
+    patterns: Sequence[str] | None = None,
+    *,
+    period: float = 1.0,
+    fresh: bool = False,
+    linger: float = 30.0,
+    config: AnyConfig | None = None,
+    ros: RosOptions | None = None,
+    network: Network | None = None,
+    stop: Event | None = None,
+    say: Callable[[str], None] = print,
+) -> list[LiveRobot]:
+    """Run several robots of one ROS 2 graph in one process until `stop` is set, each as `live_robot` does.
+
+    Where one of them can't be driven the others end too, and its error is raised.
+
+    Parameters
+    ----------
+    names
+        What the team calls them.
+    patterns
+        Of each robot's namespace (the robots of these names).
+    period
+        Seconds of scans in one message (1).
+    fresh
+        Forget earlier histories.
+    linger
+        How long they stay at most after `stop` for those who lack something [s] (30).
+    config
+        Settings, as for `map`.
+    ros
+        Of which ROS graph; its `pattern` is not read.
+    network
+        How to reach the others, as for `live_robot`; the graph's router is another process.
+    stop
+        Ends the run as soon as it is set.
+    say
+        Called with a line where something happens.
+    """
+    network, ros = network or Network(), ros or RosOptions()
+    twice = [name for k, name in enumerate(names) if name in names[:k]]
+    if twice:
+        raise UsageError(f"--name: {twice[0]} comes twice")
+    if patterns is not None and len(patterns) != len(names):
+        raise UsageError(f"--pattern: expected one a robot, {len(names)}, found {len(patterns)}")
+    if network.listen:
+        raise UsageError("--listen: of one robot; several in one process connect to a router")
+    ended = Event()
+
+    def drive(name: str, pattern: str) -> LiveRobot:
+        return live_robot(
+            name,
+            "ros2",
+            period=period,
+            fresh=fresh,
+            linger=linger,
+            config=config,
+            ros=replace(ros, pattern=pattern),
+            network=network,
+            stop=ended,
+            say=say,
+        )
+
+    with ThreadPoolExecutor(len(names), thread_name_prefix="robot") as pool:
+        driving = [pool.submit(drive, *one) for one in zip(names, patterns or names, strict=True)]
+        try:
+            while not (stop is not None and stop.is_set()):
+                done, going = wait(driving, LOOK, FIRST_EXCEPTION)
+                if not going or any(future.exception() for future in done):
+                    break
+        finally:
+            ended.set()
+    failed = [error for future in driving if (error := future.exception()) is not None]
+    if failed:
+        raise failed[0]
+    return [future.result() for future in driving]

@@ -185,8 +185,7 @@ def _expect_extra(given: Asked) -> None:
 
 def _live_robot(drive: Callable[..., Any], asked: Asked) -> list[Any]:
     """The robot, or the robots of one ROS graph, driven until they are done."""
-    from ..api.live import ROS2
-    from ..api.live_robots import live_robots
+    from ..api.live import ROS2, live_robots
     from ..api.live_ros2 import RosOptions
 
     ros = None if asked["ros"] == RosOptions() else asked["ros"]
@@ -279,7 +278,7 @@ COMMANDS: dict[str, Command | dict[str, Command]] = {
         said=_lines,
     ),
     "edit": Command(
-        verb="api.edit:edit",
+        verb="api.view:edit",
         does="Decide by hand on places and robots of a laser map, in the browser.",
         example="edit result",
         words=("directory",),

@@ -11,7 +11,7 @@ from scipy.sparse.linalg import splu
 
 from ..core.gaussian import symmetrise
 from ..kernels.block_cholesky import block_cholesky, block_inverse, block_solve, elimination_tree, factor_columns
-from ..kernels.pattern import pattern_slots
+from ..kernels.elimination import pattern_slots
 from .elimination import Cholesky, Elimination, NotPositiveError, least_fill
 from .problem import Problem
 

@@ -12,8 +12,7 @@ from ...core import se2
 from ...core.records import frozen
 from ...core.se2 import wrap_angle
 from ...kernels.exploration.arcs import arc_clearance, arc_points
-from ...kernels.exploration.tour_moves import improve_tours
-from ...kernels.exploration.tours import balanced_tours
+from ...kernels.exploration.tours import balanced_tours, improve_tours
 from ...kernels.exploration.wavefront import NO_LIMIT, STRAIGHT, spread
 from ..ground import FAR, Ground
 from .config import LaserExploreConfig

@@ -13,9 +13,9 @@ import numpy as np
 from .._jit import kernel
 from ..cells import cell_of
 from ..dense import add_product, product, put, solved, transposed
+from .ekf import trust
 from .ekf_apply_drive import COAST_STEP, clear
 from .ekf_drive import arc, drive
-from .ekf_sight import trust
 from .ekf_state import (
     BEARING_BIAS,
     HEAD,
