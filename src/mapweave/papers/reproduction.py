@@ -127,8 +127,8 @@ class Claim:
     """One statement of a paper and what became of it.
 
     code: a file under `src/mapweave`; test: `file::function` under `tests`; printed: the paper's figure; here: the
-    name under which `Reproduction.measured` gives ours; over: how many draws ours is of, with `measured` names in
-    braces; command: what prints it; rule: how `Reproduction.numbers` tell whether it holds.
+    name under which `Reproduction.measured` gives ours; rule: how `Reproduction.numbers` tell whether it holds; over:
+    how many draws ours is of, with `measured` names in braces, where not as many as of most.
     """
 
     claim: str
@@ -136,20 +136,22 @@ class Claim:
     test: str
     printed: str
     here: str
-    over: str
-    command: str
     rule: Rule | Typed
+    over: str = ""
 
 
 class Reproduction(ResultBase):
     """Base of what `reproduce` gives. A subclass has `metrics` too.
 
-    title: head of the page, who and when; claims: the paper's statements; quick: fewer draws were asked for.
+    title: head of the page, who and when; claims: the paper's statements; command: what prints them; over: how many
+    draws most of our figures are of; quick: fewer draws were asked for.
     """
 
     __slots__ = ()
     title: ClassVar[str]
     claims: ClassVar[tuple[Claim, ...]]
+    command: ClassVar[str]
+    over: ClassVar[str]
     quick: bool
 
     @property
@@ -189,7 +191,7 @@ class Reproduction(ResultBase):
         rows = [
             (
                 *(c.claim, c.code, c.test, c.printed, told[c.here], c.rule.verdict(numbers), c.rule.text),
-                *(c.over.format_map(told), c.command + self.form),
+                *((c.over or self.over).format_map(told), self.command + self.form),
             )
             for c in self.claims
         ]

@@ -65,29 +65,6 @@ WITHIN = {1: 2.0, 2: 1.3, 3: 2.0}  # by table: the factor up to which a cell cou
 NOISY = VARIANCES[1:]  # of the bearings
 
 
-def numbers(r: "HamataniReproduction") -> Numbers:
-    """By the names of the rules; lengths in metres, angles in degrees."""
-    table = {
-        (t, far): [r.value(t, g, b) / PRINTED[t][g, b] for g in VARIANCES if (g == VARIANCES[-1]) == far for b in NOISY]
-        for t in PRINTED
-        for far in (False, True)
-    }
-    plane, space = ([row for row in r.beyond if row.case.dim == d] for d in (2, 3))
-    few, many = ([row for row in plane if (row.case.robots > 5) == large] for large in (False, True))
-    return {
-        **{f"table{t}{' from afar' if far else ''}": ratios for (t, far), ratios in table.items()},
-        "exact": [r.value(3, g, 0.0) for g in VARIANCES],
-        "drift": [float(r.drift[0].side.mean() / r.drift[1].side.mean())],
-        "angles": [r.value(2, g, b) for g in VARIANCES for b in NOISY],
-        "sides": [r.value(3, g, b) for g in VARIANCES for b in NOISY],
-        "places": [worst(r.example.known, r.example.truth)],
-        "grows": [r.value(t, g, NOISY[1]) / r.value(t, g, NOISY[0]) for t in PRINTED for g in VARIANCES],
-        **_located("random", few),
-        **_located("many", many),
-        **_located("space", space),
-    }
-
-
 def _located(name: str, rows: list[Beyond]) -> Numbers:
     return {
         f"{name}, bound": [row.over_bound for row in rows],
@@ -95,17 +72,10 @@ def _located(name: str, rows: list[Beyond]) -> Numbers:
     }
 
 
-COMMAND = "reproduce hamatani"
 TEST = "papers/test_reproduce_hamatani.py"
 TABLES = f"{TEST}::test_the_tables_of_the_paper_come_out_and_the_row_that_does_not_is_named"
 SHAPE = f"{TEST}::test_what_the_paper_says_of_all_cells_is_judged_over_all_cells"
 BEYOND = f"{TEST}::test_robots_anywhere_many_of_them_and_in_space_are_located_at_the_bound"
-
-
-def _claim(
-    judged: Rule, claim: str, code: str, test: str, printed: str, here: str, over: str = "{trials} trials a cell"
-) -> Claim:
-    return Claim(claim, code, test, printed, here, over, COMMAND, judged)
 
 
 def _cells(table: int, where: str = "") -> Check:
@@ -122,106 +92,98 @@ def _placed(name: str) -> Rule:
 
 
 CLAIMS = (
-    _claim(
-        rule(_cells(1)),
+    Claim(
         "Sides with nothing known (Table 1), good guess",
         "swarm/filtered.py",
         TABLES,
         "0.47 to 6.69 m",
         "table1",
+        rule(_cells(1)),
     ),
-    _claim(
-        rule(_cells(2)),
+    Claim(
         "Angles with nothing known (Table 2), good guess",
         "swarm/filtered.py",
         TABLES,
         "0.007 to 0.38 deg",
         "table2",
+        rule(_cells(2)),
     ),
-    _claim(
-        rule(_cells(3)),
+    Claim(
         "Sides, two robots known (Table 3), good guess",
         "swarm/filtered.py",
         TABLES,
         "0.001 to 0.08 m",
         "table3",
+        rule(_cells(3)),
     ),
-    _claim(
-        rule(*(_cells(table, " from afar") for table in WITHIN)),
+    Claim(
         "The same from guesses of 25 m²",
         "swarm/filtered.py",
         TABLES,
         "as with a good guess",
         "bad_guess",
+        rule(*(_cells(table, " from afar") for table in WITHIN)),
     ),
-    _claim(
-        rule(Check("exact", "side [m] with two robots known, each guess, exact bearings", least=1e-6)),
+    Claim(
         "Exact bearings cannot be used",
         "swarm/filtered.py",
         TABLES,
         "×",
         "exact",
+        rule(Check("exact", "side [m] with two robots known, each guess, exact bearings", least=1e-6)),
     ),
-    _claim(
-        rule(Check("drift", "side over that with first-estimate Jacobians, exact start", least=10.0)),
+    Claim(
         "Without known robots the distances drift",
         "swarm/filtered.py",
         f"{TEST}::test_the_scale_drifts_with_fresh_jacobians_and_stays_with_the_first_ones_whatever_the_guess",
         "0.47 to 6.69 m",
         "drift",
+        rule(Check("drift", "side over that with first-estimate Jacobians, exact start", least=10.0)),
     ),
-    _claim(
-        rule(Check("angles", "angle [deg] in each cell", most=0.4)),
+    Claim(
         "Whatever the guess and the bearings, every angle errs less than 0.4 deg",
         "swarm/filtered.py",
         SHAPE,
         "0.007 to 0.391 deg",
         "angles",
+        rule(Check("angles", "angle [deg] in each cell", most=0.4)),
     ),
-    _claim(
-        rule(Check("sides", "side [m] in each cell", most=0.1)),
+    Claim(
         "With two robots known every side errs less than 0.1 m",
         "swarm/filtered.py",
         SHAPE,
         "0.001 to 0.08 m",
         "sides",
+        rule(Check("sides", "side [m] in each cell", most=0.1)),
     ),
-    _claim(
-        rule(Check("places", "farthest robot [m]", most=0.01)),
+    Claim(
         "With two robots known all stand within millimetres of their places (Fig. 4)",
         "swarm/filtered.py",
         SHAPE,
         "0.0036 m at most",
         "places",
+        rule(Check("places", "farthest robot [m]", most=0.01)),
         "a run",
     ),
-    _claim(
-        rule(Check("grows", "error at 25 deg² / at 0.01 deg², each row", least=1.0), enough=0.85),
+    Claim(
         "Errors grow with the noise of bearings (Tables 1 to 3)",
         "swarm/filtered.py",
         SHAPE,
         "8 of 9 rows",
         "grows",
+        rule(Check("grows", "error at 25 deg² / at 0.01 deg², each row", least=1.0), enough=0.85),
     ),
-    _claim(
-        _placed("random"),
+    Claim(
         "Future work: random places (five robots, two known)",
         "swarm/batch.py",
         BEYOND,
         "-",
         "random",
+        _placed("random"),
         "{draws} draws",
     ),
-    _claim(
-        _placed("many"),
-        "Future work: many robots",
-        "swarm/batch.py",
-        BEYOND,
-        "-",
-        "many",
-        "{draws} draws a case",
-    ),
-    _claim(_placed("space"), "Future work: space", "swarm/batch.py", BEYOND, "-", "space", "{draws} draws a case"),
+    Claim("Future work: many robots", "swarm/batch.py", BEYOND, "-", "many", _placed("many"), "{draws} draws a case"),
+    Claim("Future work: space", "swarm/batch.py", BEYOND, "-", "space", _placed("space"), "{draws} draws a case"),
 )
 
 
@@ -341,6 +303,8 @@ class HamataniReproduction(Reproduction):
 
     title: ClassVar[str] = "Hamatani, Nakamura, Naruse"
     claims: ClassVar[tuple[Claim, ...]] = CLAIMS
+    command: ClassVar[str] = "reproduce hamatani"
+    over: ClassVar[str] = "{trials} trials a cell"
 
     seed: int
     quick: bool
@@ -517,7 +481,28 @@ class HamataniReproduction(Reproduction):
         }
 
     def numbers(self) -> Numbers:
-        return numbers(self)
+        """By the names of the rules; lengths in metres, angles in degrees."""
+        table = {
+            (t, far): [
+                self.value(t, g, b) / PRINTED[t][g, b] for g in VARIANCES if (g == VARIANCES[-1]) == far for b in NOISY
+            ]
+            for t in PRINTED
+            for far in (False, True)
+        }
+        plane, space = ([row for row in self.beyond if row.case.dim == d] for d in (2, 3))
+        few, many = ([row for row in plane if (row.case.robots > 5) == large] for large in (False, True))
+        return {
+            **{f"table{t}{' from afar' if far else ''}": ratios for (t, far), ratios in table.items()},
+            "exact": [self.value(3, g, 0.0) for g in VARIANCES],
+            "drift": [float(self.drift[0].side.mean() / self.drift[1].side.mean())],
+            "angles": [self.value(2, g, b) for g in VARIANCES for b in NOISY],
+            "sides": [self.value(3, g, b) for g in VARIANCES for b in NOISY],
+            "places": [worst(self.example.known, self.example.truth)],
+            "grows": [self.value(t, g, NOISY[1]) / self.value(t, g, NOISY[0]) for t in PRINTED for g in VARIANCES],
+            **_located("random", few),
+            **_located("many", many),
+            **_located("space", space),
+        }
 
     def _all_cells(self) -> dict[str, str]:
         """What the paper says of all cells with noisy bearings together."""

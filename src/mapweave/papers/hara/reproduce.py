@@ -36,36 +36,6 @@ from .experiments import (
 )
 from .starts import SCANS, LocalisedStart, counts, starts_table, try_starts
 
-
-def numbers(r: "HaraReproduction") -> Numbers:
-    """By the names of the rules: errors in metres, ratios of errors, shares."""
-    odometry, icp = r.drives("odometry"), r.drives("Intensity-ICP")
-    printed, ours = r.drives("paper's RBPF, raw intensity"), r.drives("our RBPF, intensity")
-    narrow, alone, gated = r.gate[1], r.gate[-2], r.gate[-1]
-    outside, rightly = r.refusals()
-    light, walls = (r.best(what)[1] for what in ("intensity", "geometry"))
-    square = r.best("intensity", squared=True)[1]
-    bound = float(np.sqrt(np.mean(r.bounds.geometry**2)))
-    seen, bare = counts(r.starts, "normalised"), counts(r.starts, "none")
-    inside = [s.answer == "right" for s in r.starts if (s.feature, s.where) == ("normalised", "here")]
-    return {
-        "odometry": odometry.tolist(),
-        "icp": (icp / odometry).tolist(),
-        "gate_fails": [float(alone.ate.mean() / narrow.ate.mean())],
-        "gate_saves": [float(gated.ate.mean() / alone.ate.mean())],
-        "gate_right": [rightly / outside if outside else float("nan")],
-        "printed": (printed / icp).tolist(),
-        "ours": (ours / icp).tolist(),
-        "geometry": [light / walls],
-        "geometry_bound": [square / bound if bound > 0 else float("nan")],
-        "alpha": [float(r.alpha.at_estimate.mean() / r.alpha.ate.mean(axis=1).min())],
-        "feature": [float(ours.mean() / printed.mean())],
-        "starts_wrong": [float(n["wrong"]) for n in (seen, bare)],
-        "starts_right": [float(np.mean(inside)) if inside else float("nan")],
-    }
-
-
-COMMAND = "reproduce hara"
 LOOP = "papers/test_reproduce_hara.py"
 STATEMENTS = "papers/test_hara_statements.py"
 
@@ -76,8 +46,6 @@ CLAIMS = (
         f"{LOOP}::test_every_method_of_the_paper_is_compared_and_drawn",
         "20 m at the end",
         "odometry",
-        "{drives} drives",
-        COMMAND,
         rule(Check("odometry", "ATE [m], each drive, beyond the corridor's width", least=CorridorConfig().width)),
     ),
     Claim(
@@ -86,8 +54,6 @@ CLAIMS = (
         f"{STATEMENTS}::test_intensity_icp_errs_half_of_odometry_at_most_and_less_than_icp_on_geometry",
         "drawn",
         "icp",
-        "{drives} drives",
-        COMMAND,
         rule(Check("icp", "ATE / odometry's, each drive", most=0.5)),
     ),
     Claim(
@@ -96,8 +62,6 @@ CLAIMS = (
         f"{LOOP}::test_where_matching_fails_the_gate_carries_the_map_and_refuses_rightly",
         "drawn",
         "gate",
-        "{drives} drives",
-        COMMAND,
         rule(
             Check("gate_fails", "ATE without the gate, widest pairs / narrowest", least=2.0),
             Check("gate_saves", "ATE with the gate / without, widest pairs", most=0.75),
@@ -110,8 +74,6 @@ CLAIMS = (
         f"{STATEMENTS}::test_the_printed_filter_does_not_close_the_loop_where_matching_alone_does_not",
         "drawn",
         "printed",
-        "{drives} drives",
-        COMMAND,
         rule(Check("printed", "ATE / Intensity-ICP's, each drive", most=0.9)),
     ),
     Claim(
@@ -120,8 +82,6 @@ CLAIMS = (
         f"{STATEMENTS}::test_our_filter_with_intensity_errs_a_fraction_of_geometry_and_of_odometry",
         "drawn",
         "ours",
-        "{drives} drives",
-        COMMAND,
         rule(Check("ours", "ATE / Intensity-ICP's, each drive", most=0.9)),
     ),
     Claim(
@@ -130,8 +90,6 @@ CLAIMS = (
         f"{STATEMENTS}::test_intensity_errs_a_seventh_of_the_best_geometry_and_of_the_least_that_geometry_can",
         "not measured",
         "geometry",
-        "{drives} drives",
-        COMMAND,
         rule(
             Check("geometry", "ATE / best geometry's", most=0.15),
             Check("geometry_bound", "root mean square / the least that geometry can", most=0.15),
@@ -143,8 +101,6 @@ CLAIMS = (
         f"{LOOP}::test_the_weight_of_intensity_is_found_from_the_log",
         "by experience",
         "alpha",
-        "{drives} drives",
-        COMMAND,
         question(Check("alpha", "ATE at the alpha found / at the best tried", most=1.25)),
     ),
     Claim(
@@ -153,8 +109,6 @@ CLAIMS = (
         f"{STATEMENTS}::test_the_feature_found_from_the_log_is_the_reflectance_and_maps_as_well_as_the_true_law",
         "not tried",
         "feature",
-        "{drives} drives",
-        COMMAND,
         question(Check("feature", "ATE of our filter / of the paper's", most=0.5)),
     ),
     Claim(
@@ -163,12 +117,11 @@ CLAIMS = (
         f"{LOOP}::test_no_trusted_start_is_wrong_and_light_tells_what_walls_cannot",
         "not tried",
         "localised",
-        "{starts} starts with light, {bare_starts} with geometry alone, which knows no twins",
-        COMMAND,
         question(
             Check("starts_wrong", "wrong, with light and without", most=0.0),
             Check("starts_right", "share of starts in the building that light finds", least=0.75),
         ),
+        "{starts} starts with light, {bare_starts} with geometry alone, which knows no twins",
     ),
 )
 
@@ -275,6 +228,8 @@ class HaraReproduction(Reproduction):
 
     title: ClassVar[str] = "Hara, Kawata, Ohya, Yuta (2007)"
     claims: ClassVar[tuple[Claim, ...]] = CLAIMS
+    command: ClassVar[str] = "reproduce hara"
+    over: ClassVar[str] = "{drives} drives"
 
     seed: int
     quick: bool
@@ -465,7 +420,31 @@ class HaraReproduction(Reproduction):
         }
 
     def numbers(self) -> Numbers:
-        return numbers(self)
+        """By the names of the rules: errors in metres, ratios of errors, shares."""
+        odometry, icp = self.drives("odometry"), self.drives("Intensity-ICP")
+        printed, ours = self.drives("paper's RBPF, raw intensity"), self.drives("our RBPF, intensity")
+        narrow, alone, gated = self.gate[1], self.gate[-2], self.gate[-1]
+        outside, rightly = self.refusals()
+        light, walls = (self.best(what)[1] for what in ("intensity", "geometry"))
+        square = self.best("intensity", squared=True)[1]
+        bound = float(np.sqrt(np.mean(self.bounds.geometry**2)))
+        seen, bare = counts(self.starts, "normalised"), counts(self.starts, "none")
+        inside = [s.answer == "right" for s in self.starts if (s.feature, s.where) == ("normalised", "here")]
+        return {
+            "odometry": odometry.tolist(),
+            "icp": (icp / odometry).tolist(),
+            "gate_fails": [float(alone.ate.mean() / narrow.ate.mean())],
+            "gate_saves": [float(gated.ate.mean() / alone.ate.mean())],
+            "gate_right": [rightly / outside if outside else float("nan")],
+            "printed": (printed / icp).tolist(),
+            "ours": (ours / icp).tolist(),
+            "geometry": [light / walls],
+            "geometry_bound": [square / bound if bound > 0 else float("nan")],
+            "alpha": [float(self.alpha.at_estimate.mean() / self.alpha.ate.mean(axis=1).min())],
+            "feature": [float(ours.mean() / printed.mean())],
+            "starts_wrong": [float(n["wrong"]) for n in (seen, bare)],
+            "starts_right": [float(np.mean(inside)) if inside else float("nan")],
+        }
 
     def differences(self) -> tuple[str, ...]:
         outside, rightly = self.refusals()

@@ -42,76 +42,6 @@ from .experiments import (
 NEIGHBOURS = ("two robots, calibrated noise, nn", "two robots, calibrated noise, nn as printed")
 
 
-def measured(r: "YuanReproduction") -> Mapping[str, str]:
-    """By the names of the claims, in words."""
-    two, one = (r.get("table1", f"{robots_told(k)}, calibrated noise") for k in (2, 1))
-    printed = r.get("table1", "two robots, printed noise")
-    near, plain_nn = (r.get("table1", name) for name in NEIGHBOURS)
-    dead = r.get("ablation", "one of two dead after 100 steps")
-    apart, whole = r.get("ablation", "no distance to others"), r.get("ablation", "whole objective")
-    careless = r.get("ablation", "no accuracy")
-
-    def steps(o: Outcome) -> str:
-        return str(o.row()[3])
-
-    def accuracy(o: Outcome) -> str:
-        return f"{o.mean('map_error'):.3f} m, {o.mean('c_per_n'):.3f} m²"
-
-    return {
-        "runs": str(len(two.runs)),
-        "few": str(len(dead.runs)),
-        "all": f"{two.finished} and {one.finished} of {len(two.runs)}",
-        "steps_two": steps(two),
-        "accuracy_two": accuracy(two),
-        "printed_noise": f"{printed.mean('map_error'):.1f} m",
-        "steps_one": steps(one),
-        "accuracy_one": accuracy(one),
-        "efficiency": f"{_ratio(one, two, 'steps'):.2f} times the steps",
-        "accuracy": f"error {_ratio(one, two, 'map_error'):.2f} times, C/N {_ratio(one, two, 'c_per_n'):.2f} times",
-        "neighbour": f"as printed {accuracy(plain_nn)}, NEES/dof {plain_nn.mean('nees_per_dof'):.1f}, "
-        f"{plain_nn.count('misassociations')} wrong matches; only sure matches {accuracy(near)}, "
-        f"{near.mean('nees_per_dof'):.2f}, {near.count('misassociations')}",
-        "area": "; ".join(f"{row[0]}: {row[3]} times" for row in r.like_for_like()[1][:2]),
-        "escape": f"{r.get('ablation', 'whole objective, no escape').finished} of {len(dead.runs)} finish without it",
-        "careful": f"{accuracy(whole)} with it, {accuracy(careless)} without",
-        "independent": f"to the bit (test); the map's NEES/dof {whole.mean('nees_per_dof'):.2f}",
-        "apart": f"{_ratio(apart, whole, 'steps'):.2f} times the steps without it",
-        "dead": f"{dead.finished} of {len(dead.runs)} finish, NEES/dof {dead.mean('nees_per_dof'):.2f}",
-        "drawn": "drawn",
-    }
-
-
-def numbers(r: "YuanReproduction") -> Numbers:
-    """By the names of the rules: ratios, shares of runs, NEES per degree of freedom."""
-    two, one = (r.get("table1", f"{robots_told(k)}, calibrated noise") for k in (2, 1))
-    noisy = r.get("table1", "two robots, printed noise")
-    near = [r.get("table1", name) for name in NEIGHBOURS]
-    whole, dead = r.get("ablation", "whole objective"), r.get("ablation", "one of two dead after 100 steps")
-    plain, printed = "whole objective", "whole objective, escape as printed"
-    blind = [r.get("ablation", name) for name in ("no area", "no area, escape as printed")]
-    return {
-        "finished": [_finished(o) for o in (two, one)],
-        "steps_two": _steps(two),
-        "steps_one": _steps(one),
-        "accuracy_two": _accuracy(two),
-        "accuracy_one": _accuracy(one),
-        "printed_noise": _accuracy(noisy),
-        "efficiency": [_ratio(one, two, "steps")],
-        "accuracy": [_ratio(one, two, what) for what in ("map_error", "c_per_n")],
-        "neighbour_nees": [o.mean("nees_per_dof") for o in near],
-        "neighbour_error": [_ratio(o, whole, "map_error") for o in near],
-        "area_steps": [
-            _ratio(o, r.get("ablation", name), "steps") for o, name in zip(blind, (plain, printed), strict=True)
-        ],
-        "area_stuck": [1.0 - _finished(o) for o in blind],
-        "escape": [1.0 - _finished(r.get("ablation", "whole objective, no escape"))],
-        "apart": [_ratio(r.get("ablation", "no distance to others"), whole, "steps")],
-        "careful": [_ratio(r.get("ablation", "no accuracy"), whole, what) for what in ("map_error", "c_per_n")],
-        "dead_finished": [_finished(dead)],
-        "dead_nees": [dead.mean("nees_per_dof")],
-    }
-
-
 def _ratio(a: Outcome, b: Outcome, what: str) -> float:
     return a.mean(what) / b.mean(what)
 
@@ -132,18 +62,11 @@ def _accuracy(o: Outcome) -> list[float]:
     return [o.mean(what) / p for what, p in zip(("map_error", "c_per_n"), PRINTED[o.case.robots][3:], strict=True)]
 
 
-COMMAND = "reproduce yuan"
 WHOLE = "exploration/test_exploration.py"
 FIGURES = f"{WHOLE}::test_the_papers_planner_finishes_every_run_within_its_figures"
 WRITTEN = "papers/test_reproduce_yuan.py"
 JUDGED = "papers/test_yuan_claims.py"
 FUSION = "exploration/test_submap_fusion.py"
-
-
-def _claim(
-    judged: Rule | Typed, claim: str, code: str, test: str, printed: str, here: str, over: str = "{runs} runs"
-) -> Claim:
-    return Claim(claim, code, test, printed, here, over, COMMAND, judged)
 
 
 def _more(name: str, says: str) -> Rule:
@@ -152,149 +75,149 @@ def _more(name: str, says: str) -> Rule:
 
 
 CLAIMS = (
-    _claim(
-        rule(Check("finished", "share of runs, two robots and one", least=1.0)),
+    Claim(
         "Every landmark is seen (Table 1)",
         "exploration/landmarks/team.py",
         FIGURES,
         "30 and 30 of 30",
         "all",
+        rule(Check("finished", "share of runs, two robots and one", least=1.0)),
     ),
-    _claim(
-        rule(Check("steps_two", "each of three / printed", 0.8, 1.25)),
+    Claim(
         "Two robots: steps min / max / mean (Table 1)",
         "exploration/landmarks/objective.py",
         FIGURES,
         "208 / 371 / 296",
         "steps_two",
+        rule(Check("steps_two", "each of three / printed", 0.8, 1.25)),
     ),
-    _claim(
-        rule(Check("accuracy_two", "each of both / printed", most=1.25)),
+    Claim(
         "Two robots: map error and C/N (Table 1), calibrated noise",
         "fusion/handover.py",
         FIGURES,
         "0.282 m, 0.327 m²",
         "accuracy_two",
+        rule(Check("accuracy_two", "each of both / printed", most=1.25)),
     ),
-    _claim(
-        rule(Check("printed_noise", "map error and C/N / printed", most=1.25)),
+    Claim(
         "The same with the printed noise",
         "fusion/handover.py",
         f"{WHOLE}::test_with_the_printed_noise_robots_that_get_lost_find_back",
         "0.282 m",
         "printed_noise",
+        rule(Check("printed_noise", "map error and C/N / printed", most=1.25)),
         "{few} runs",
     ),
-    _claim(
-        rule(Check("steps_one", "each of three / printed", 0.8, 1.25)),
+    Claim(
         "One robot: steps min / max / mean (Table 1)",
         "exploration/landmarks/objective.py",
         FIGURES,
         "310 / 705 / 503",
         "steps_one",
+        rule(Check("steps_one", "each of three / printed", 0.8, 1.25)),
     ),
-    _claim(
-        rule(Check("accuracy_one", "each of both / printed", most=1.25)),
+    Claim(
         "One robot: map error and C/N (Table 1), calibrated noise",
         "fusion/handover.py",
         f"{JUDGED}::test_one_robot_errs_and_is_unsure_by_more_than_a_quarter_beyond_the_print",
         "0.361 m, 0.490 m²",
         "accuracy_one",
+        rule(Check("accuracy_one", "each of both / printed", most=1.25)),
     ),
-    _claim(
-        _more("efficiency", "steps of one / of two"),
+    Claim(
         "One robot takes longer than two (Table 1)",
         "exploration/landmarks/team.py",
         FIGURES,
         "1.70",
         "efficiency",
+        _more("efficiency", "steps of one / of two"),
     ),
-    _claim(
-        _more("accuracy", "error and C/N of one / of two"),
+    Claim(
         "One robot maps less well than two (Table 1)",
         "exploration/landmarks/team.py",
         f"{JUDGED}::test_one_robot_maps_less_well_than_two",
         "1.28, 1.50",
         "accuracy",
+        _more("accuracy", "error and C/N of one / of two"),
     ),
-    _claim(
-        Typed("holds", "a drawing"),
+    Claim(
         "Runs of two robots and of one (Figs. 1, 2)",
         "report/exploration.py",
         f"{WRITTEN}::test_the_tables_hold_the_papers_figures_and_every_case_ours",
         "drawn",
         "drawn",
+        Typed("holds", "a drawing"),
         "a run each",
     ),
-    _claim(
-        rule(
-            Check("neighbour_nees", "NEES/dof of both", most=1.25),
-            Check("neighbour_error", "map error of both / with landmarks known, same seeds", most=1.25),
-        ),
+    Claim(
         "Nearest neighbours tell which landmark is which",
         "landmarks/association.py",
         f"{WRITTEN}::test_nearest_neighbours_make_an_honest_map_and_unsure_ones_most_of_the_wrong_matches",
         "used",
         "neighbour",
+        rule(
+            Check("neighbour_nees", "NEES/dof of both", most=1.25),
+            Check("neighbour_error", "map error of both / with landmarks known, same seeds", most=1.25),
+        ),
         "{few} runs",
     ),
-    _claim(
-        rule(
-            Check("area_steps", "steps without it / with it, each escape", least=1.25),
-            Check("area_stuck", "share of runs that never finish without it, each escape", least=0.5),
-        ),
+    Claim(
         "Without the gain in area robots stay where they are (eq. 19, 20)",
         "exploration/landmarks/objective.py",
         f"{WHOLE}::test_the_area_term_is_worth_its_steps_with_the_same_escape_on_both_sides",
         "not told",
         "area",
+        rule(
+            Check("area_steps", "steps without it / with it, each escape", least=1.25),
+            Check("area_stuck", "share of runs that never finish without it, each escape", least=0.5),
+        ),
         "{few} runs",
     ),
-    _claim(
-        rule(Check("escape", "share of runs that never finish without it", least=0.9)),
+    Claim(
         "Without the escape to a frontier robots get caught",
         "exploration/landmarks/steering.py",
         f"{WHOLE}::test_without_the_escape_no_run_ends",
         "not told",
         "escape",
+        rule(Check("escape", "share of runs that never finish without it", least=0.9)),
         "{few} runs",
     ),
-    _claim(
-        _more("apart", "steps without it / with it"),
+    Claim(
         "The distance to the others' submaps makes the team more efficient (eq. 20)",
         "exploration/landmarks/objective.py",
         f"{JUDGED}::test_without_the_distance_to_the_others_the_team_takes_no_more_steps",
         "not told",
         "apart",
+        _more("apart", "steps without it / with it"),
         "{few} runs",
     ),
-    _claim(
-        _more("careful", "error and C/N without it / with it"),
+    Claim(
         "The accuracy term makes the map more accurate (eq. 17, 20)",
         "exploration/landmarks/objective.py",
         f"{JUDGED}::test_without_the_accuracy_term_the_map_errs_no_more",
         "not told",
         "careful",
+        _more("careful", "error and C/N without it / with it"),
         "{few} runs",
     ),
-    _claim(
-        Typed("holds", "a proof, held by the test"),
+    Claim(
         "Submaps are independent: fusing one leaves the other robots' as they are (eq. 13 to 16)",
         "fusion/handover.py",
         f"{FUSION}::test_a_fusion_keeps_the_covariance_symmetric_and_touches_no_other_submap",
         "proved",
         "independent",
+        Typed("holds", "a proof, held by the test"),
         "{few} runs",
     ),
-    _claim(
-        rule(
-            Check("dead_finished", "share of runs that finish", least=0.95), Check("dead_nees", "NEES/dof", most=1.25)
-        ),
+    Claim(
         "A robot that fails leaves the others at work",
         "exploration/landmarks/team.py",
         f"{WHOLE}::test_a_robot_that_dies_leaves_no_landmark_missed_and_an_honest_map",
         "not told",
         "dead",
+        rule(
+            Check("dead_finished", "share of runs that finish", least=0.95), Check("dead_nees", "NEES/dof", most=1.25)
+        ),
         "{few} runs",
     ),
 )
@@ -375,6 +298,8 @@ class YuanReproduction(Reproduction):
 
     title: ClassVar[str] = "Yuan, Huang, Tao, Xi (2009), reproduced"
     claims: ClassVar[tuple[Claim, ...]] = CLAIMS
+    command: ClassVar[str] = "reproduce yuan"
+    over: ClassVar[str] = "{runs} runs"
 
     seed: int
     quick: bool
@@ -518,10 +443,72 @@ class YuanReproduction(Reproduction):
         return f"Two robots and one with {'; '.join(told)}."
 
     def measured(self) -> Mapping[str, str]:
-        return measured(self)
+        """By the names of the claims, in words."""
+        two, one = (self.get("table1", f"{robots_told(k)}, calibrated noise") for k in (2, 1))
+        printed = self.get("table1", "two robots, printed noise")
+        near, plain_nn = (self.get("table1", name) for name in NEIGHBOURS)
+        dead = self.get("ablation", "one of two dead after 100 steps")
+        apart, whole = self.get("ablation", "no distance to others"), self.get("ablation", "whole objective")
+        careless, caught = self.get("ablation", "no accuracy"), self.get("ablation", "whole objective, no escape")
+
+        def steps(o: Outcome) -> str:
+            return str(o.row()[3])
+
+        def accuracy(o: Outcome) -> str:
+            return f"{o.mean('map_error'):.3f} m, {o.mean('c_per_n'):.3f} m²"
+
+        return {
+            "runs": str(len(two.runs)),
+            "few": str(len(dead.runs)),
+            "all": f"{two.finished} and {one.finished} of {len(two.runs)}",
+            "steps_two": steps(two),
+            "accuracy_two": accuracy(two),
+            "printed_noise": f"{printed.mean('map_error'):.1f} m",
+            "steps_one": steps(one),
+            "accuracy_one": accuracy(one),
+            "efficiency": f"{_ratio(one, two, 'steps'):.2f} times the steps",
+            "accuracy": f"error {_ratio(one, two, 'map_error'):.2f} times, C/N {_ratio(one, two, 'c_per_n'):.2f} times",
+            "neighbour": f"as printed {accuracy(plain_nn)}, NEES/dof {plain_nn.mean('nees_per_dof'):.1f}, "
+            f"{plain_nn.count('misassociations')} wrong matches; only sure matches {accuracy(near)}, "
+            f"{near.mean('nees_per_dof'):.2f}, {near.count('misassociations')}",
+            "area": "; ".join(f"{row[0]}: {row[3]} times" for row in self.like_for_like()[1][:2]),
+            "escape": f"{caught.finished} of {len(dead.runs)} finish without it",
+            "careful": f"{accuracy(whole)} with it, {accuracy(careless)} without",
+            "independent": f"to the bit (test); the map's NEES/dof {whole.mean('nees_per_dof'):.2f}",
+            "apart": f"{_ratio(apart, whole, 'steps'):.2f} times the steps without it",
+            "dead": f"{dead.finished} of {len(dead.runs)} finish, NEES/dof {dead.mean('nees_per_dof'):.2f}",
+            "drawn": "drawn",
+        }
 
     def numbers(self) -> Numbers:
-        return numbers(self)
+        """By the names of the rules: ratios, shares of runs, NEES per degree of freedom."""
+        two, one = (self.get("table1", f"{robots_told(k)}, calibrated noise") for k in (2, 1))
+        noisy = self.get("table1", "two robots, printed noise")
+        near = [self.get("table1", name) for name in NEIGHBOURS]
+        whole, dead = self.get("ablation", "whole objective"), self.get("ablation", "one of two dead after 100 steps")
+        plain, printed = "whole objective", "whole objective, escape as printed"
+        blind = [self.get("ablation", name) for name in ("no area", "no area, escape as printed")]
+        return {
+            "finished": [_finished(o) for o in (two, one)],
+            "steps_two": _steps(two),
+            "steps_one": _steps(one),
+            "accuracy_two": _accuracy(two),
+            "accuracy_one": _accuracy(one),
+            "printed_noise": _accuracy(noisy),
+            "efficiency": [_ratio(one, two, "steps")],
+            "accuracy": [_ratio(one, two, what) for what in ("map_error", "c_per_n")],
+            "neighbour_nees": [o.mean("nees_per_dof") for o in near],
+            "neighbour_error": [_ratio(o, whole, "map_error") for o in near],
+            "area_steps": [
+                _ratio(o, self.get("ablation", name), "steps") for o, name in zip(blind, (plain, printed), strict=True)
+            ],
+            "area_stuck": [1.0 - _finished(o) for o in blind],
+            "escape": [1.0 - _finished(self.get("ablation", "whole objective, no escape"))],
+            "apart": [_ratio(self.get("ablation", "no distance to others"), whole, "steps")],
+            "careful": [_ratio(self.get("ablation", "no accuracy"), whole, what) for what in ("map_error", "c_per_n")],
+            "dead_finished": [_finished(dead)],
+            "dead_nees": [dead.mean("nees_per_dof")],
+        }
 
     def draw(self, target: Target) -> None:
         """Steps against map error of every run."""
