@@ -1,6 +1,7 @@
 """Explorations as pages and maps to move about in: what was known when, where robots drove, what they mapped."""
 
 from contextlib import suppress
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -170,21 +171,9 @@ def write_exploration(folder: Path, result: ExploreResult) -> None:
     walled = first.floor is not None
     if walled:
         head += ["met a wall", "landmarks nobody can see"]
-    rows = [
-        [
-            r.run,
-            r.seed,
-            "yes" if r.finished else "no",
-            r.steps,
-            r.map_error,
-            r.c_per_n,
-            r.nees_per_dof,
-            r.duplicates,
-            r.missed,
-            *((r.collisions, r.hidden) if walled else ()),
-        ]
-        for r in result.runs
-    ]
+    told = attrgetter("steps", "map_error", "c_per_n", "nees_per_dof", "duplicates", "missed")
+    met = attrgetter("collisions", "hidden")
+    rows = [[r.run, r.seed, "yes" if r.finished else "no", *told(r), *(met(r) if walled else ())] for r in result.runs]
     page.table(head, rows)
     if walled:
         page.section("Walls")

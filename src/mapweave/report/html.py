@@ -6,10 +6,12 @@ It ends in a list of the files that stand there all the same, to open or save, a
 import base64
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cache
 from html import escape
+from importlib.resources import files
 from itertools import zip_longest
 from pathlib import Path
 from urllib.parse import quote
@@ -65,44 +67,8 @@ HOLDS = {
 }
 _OPEN = "<details open>"  # of a figure
 _NUMBER = re.compile(r"[-+−±]?\.?\d")
-_CSS = """
-:root{color-scheme:light dark;--fg:#1b1f24;--bg:#fff;--line:#d9dde2;--soft:#f4f6f8;--accent:#0072B2;--warn:#b25400;
---free:#ffffff;--wall:#24292f;--unseen:#e4e7eb}
-@media screen and (prefers-color-scheme:dark){:root{--fg:#e6e8eb;--bg:#14171a;--line:#343a41;--soft:#1d2126;--accent:#56B4E9;--warn:#E69F00;
---free:#343c45;--wall:#e6e8eb;--unseen:#0b0d0f}}
-*{box-sizing:border-box}body{margin:0;padding:2rem 1.25rem;color:var(--fg);background:var(--bg);
-font:15px/1.5 system-ui,sans-serif}body>:not(.scene){max-width:72rem;margin-inline:auto}h1{font-size:1.6rem;margin-block:0}h2{font-size:1.15rem;margin-block:2.2rem .6rem;
-border-bottom:1px solid var(--line);padding-bottom:.3rem}p.lead{margin-block:.3rem 1rem;opacity:.85}
-table{border-collapse:collapse;margin-block:.5rem 1rem;font-variant-numeric:tabular-nums;display:block;overflow-x:auto}
-th,td{padding:.25rem .7rem;border-bottom:1px solid var(--line);text-align:right;white-space:nowrap}
-th:first-child,td:first-child,th.word,td.word,th.text,td.text{text-align:left}td.text{white-space:normal;min-width:14rem;max-width:30rem;overflow-wrap:anywhere}td i{display:inline-block;
-width:.7em;height:.7em;border-radius:50%;margin-right:.45em}th{background:var(--soft);font-weight:600}
-figure{margin:1rem 0}figure img{max-width:100%;height:auto;background:#fff;border:1px solid var(--line);border-radius:6px}
-@media screen and (prefers-color-scheme:dark){figure img{filter:url(#dark)}}
-figcaption{font-size:.88rem;opacity:.8;margin-top:.25rem}.cards{display:flex;flex-wrap:wrap;gap:.75rem}
-.card{background:var(--soft);border-radius:8px;padding:.6rem .9rem;min-width:9rem}.card b{display:block;font-size:1.25rem}
-.scene .view{position:relative;background:var(--bg)}.scene canvas{display:block;width:100%;height:clamp(18rem,78vh,70rem);border:1px solid var(--line);border-radius:6px;
-touch-action:pan-y;cursor:grab}.scene .view:fullscreen canvas{height:100vh}.scene canvas:active{cursor:grabbing}.scene canvas.measuring{cursor:crosshair}.scene canvas:focus{outline:2px solid var(--accent);touch-action:none}
-.where{position:absolute;right:.6rem;top:1.6rem;font-size:.78rem;font-variant-numeric:tabular-nums;pointer-events:none}
-.scene .tip{position:absolute;display:none;pointer-events:none;white-space:pre;font-size:.8rem;padding:.3rem .5rem;border-radius:6px;
-background:var(--fg);color:var(--bg)}.scene .bar{display:flex;flex-wrap:wrap;align-items:center;gap:.3rem .9rem;margin:.4rem 0;font-size:.85rem}
-.scene .bar label{display:flex;align-items:center;gap:.3rem}.scene .bar svg{width:1rem;height:.9rem}
-.scene .bar button{min-width:2rem;font:inherit;color:inherit;background:var(--soft);border:1px solid var(--line);border-radius:6px}
-.scene .bar input[type=range]{flex:1 1 12rem;min-width:8rem}.scene figcaption span{opacity:.8}
-@media screen and (max-width:40rem){body{padding:1rem .75rem}.card{flex:1}.wide{overflow-x:auto}
-.wide img{max-width:none;width:min(var(--wide),max(100%,.8*var(--wide)))}}a{color:var(--accent)}.warn{color:var(--warn)}
-ul.warn{margin-block:.8rem;padding:.5rem .9rem .5rem 1.9rem;border-left:4px solid var(--warn);background:var(--soft)}ul.warn li{margin:.15rem 0}
-details{margin-block:.5rem;border:1px solid var(--line);border-radius:6px;padding:.3rem .8rem}summary{cursor:pointer;font-size:.92rem}
-details h2{border:0;margin:.6rem 0}a.card{color:var(--warn);text-decoration:none}footer{margin-top:3rem;font-size:.82rem;opacity:.7}
-@media print{details::details-content{content-visibility:visible;block-size:auto}:root{color-scheme:light}body{max-width:none;padding:0;font-size:10pt;print-color-adjust:exact;-webkit-print-color-adjust:exact}
-h2{break-after:avoid;margin-top:1.4rem}figure,tr,.cards{break-inside:avoid}.scene canvas{height:auto}
-.scene .bar button,.scene .bar input,.scene .bar output,.scene .bar label:has(input:not(:checked)),.scene figcaption span{display:none}
-table{display:table;font-size:8.5pt}th,td{white-space:normal;padding:.2rem .45rem}td.text{min-width:0}footer{margin-top:1rem}}
-"""
-
-
-# On a dark screen paper becomes dark and ink light, and colours stay what they are: the grey of a pixel is turned where it
-# is near white or black, its difference to that grey is kept.
+# On a dark screen paper becomes dark and ink light, and colours stay what they are: the grey of a pixel is turned where
+# it is near white or black, its difference to that grey is kept.
 _DARK = (
     '<svg width="0" height="0" aria-hidden="true" style="position:absolute"><filter id="dark" '
     'color-interpolation-filters="sRGB"><feColorMatrix values=".2126 .7152 .0722 0 0 .2126 .7152 .0722 0 0 .2126 .7152 '
@@ -158,11 +124,14 @@ class Page:
             body += f"<tr>{''.join(data).replace('>', f'>{mark}', 1)}</tr>"
         self.parts.append(f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>")
 
-    def figure(self, png: Path, caption: str) -> None:
-        """A PNG or GIF, inside the page; on a narrow screen it keeps a size at which it can be read, and moves sideways.
+    def figure(self, png: Path, caption: str, draw: Callable[..., object] | None = None, *what: object) -> None:
+        """A PNG or GIF, inside the page; on a narrow screen it keeps a size at which it can be read, and moves aside.
 
+        draw, what: who draws it first, and of what.
         On a page with a map to move about in it is folded away until asked for.
         """
+        if draw is not None:
+            draw(png, *what)
         self.parts.append(
             f"{_OPEN}<summary>{escape(caption)}</summary><figure>{_picture(png, caption)}</figure></details>"
         )
@@ -217,13 +186,18 @@ class Page:
         return (
             '<!doctype html><html lang="en"><head><meta charset="utf-8">'
             '<meta name="viewport" content="width=device-width,initial-scale=1">'
-            f"<title>{escape(self.title)}</title><style>{_CSS}</style></head><body>{_DARK}<h1>{escape(self.title)}</h1>"
+            f"<title>{escape(self.title)}</title><style>{_style()}</style></head><body>{_DARK}<h1>{escape(self.title)}</h1>"
             f'<p class="lead">{escape(self.lead)}</p>{body}'
             f"<footer>mapweave {escape(__version__)}</footer>{moving}</body></html>\n"
         )
 
     def write(self, path: Path) -> None:
         path.write_text(self.html(), encoding="utf-8", errors="backslashreplace")
+
+
+@cache
+def _style() -> str:
+    return "\n" + (files(__package__) / "page.css").read_text(encoding="utf-8")
 
 
 def told_list(words: Sequence[str]) -> str:
@@ -280,7 +254,7 @@ def _unused(page: Page, metrics: Path) -> None:
 
 
 def list_files(folder: Path) -> None:
-    """`report.html` in `folder` ends in tables of what the logs held and nobody used, and of the other files and folders there.
+    """`report.html` in `folder` ends in tables of what the logs held and nobody used, and of the other files there.
 
     They stand in place of those put before.
     """

@@ -191,21 +191,28 @@ def _robot(
         tracks["odometry"] = local_map.dead_reckoning
     if seen is not None:
         tracks["truth"] = seen
-    draw_tracks(figures / f"{name}_trajectory.png", tracks, robot_colour(k))
-    page.figure(figures / f"{name}_trajectory.png", "The estimate against odometry alone, from the same first pose.")
-    draw_scans(figures / f"{name}_scans.png", local_map)
+    page.figure(
+        figures / f"{name}_trajectory.png",
+        "The estimate against odometry alone, from the same first pose.",
+        draw_tracks,
+        tracks,
+        robot_colour(k),
+    )
     page.figure(
         figures / f"{name}_scans.png",
         "Innovation: the matched pose seen from the one odometry predicted. scans.csv holds every number.",
+        draw_scans,
+        local_map,
     )
     counts = Counter(local_map.scans.decision)
     page.table(["decision", "scans", "meaning"], [[d, counts[d], why] for d, why in WHY.items() if counts[d]])
     if local_map.calibration is not None and local_map.feature == "normalised":
-        draw_calibration(figures / f"{name}_calibration.png", local_map.calibration)
         page.figure(
             figures / f"{name}_calibration.png",
             f"Estimated from this log itself, from {local_map.calibration.samples} returns; the residual is what "
             "range, incidence and place leave unexplained.",
+            draw_calibration,
+            local_map.calibration,
         )
 
 

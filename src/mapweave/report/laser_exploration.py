@@ -1,5 +1,6 @@
 """An exploration with lasers as a page: the map against the walls, how it came about, why loops were closed or not."""
 
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -215,20 +216,29 @@ def write_laser_exploration(folder: Path, result: LaserExploreResult) -> None:
     caption = "The merged map as it came to be known, and where the robots drove; each cell as it was in the end."
     scene = laser_exploration_scene(first)
     page.scene(scene, caption, figures / "map.png")
-    draw_stages(figures / "stages.png", first)
-    page.figure(figures / "stages.png", "The map at each quarter of the run, with its frontiers and the robots")
-    draw_explored(figures / "explored.png", first)
-    page.figure(figures / "explored.png", "When each place a robot can reach was first known to be free")
-    draw_animation(figures / "first_run.gif", first)
-    draw_progress(figures / "progress.png", first)
     page.figure(
-        figures / "progress.png", "Share of the reachable area mapped; errors of the robots' places as they drove"
+        figures / "stages.png",
+        "The map at each quarter of the run, with its frontiers and the robots",
+        draw_stages,
+        first,
+    )
+    page.figure(
+        figures / "explored.png", "When each place a robot can reach was first known to be free", draw_explored, first
+    )
+    draw_animation(figures / "first_run.gif", first)
+    page.figure(
+        figures / "progress.png",
+        "Share of the reachable area mapped; errors of the robots' places as they drove",
+        draw_progress,
+        first,
     )
     page.section("How good the map is")
-    draw_walls(figures / "walls.png", first, m.cfg.tolerance)
     page.figure(
         figures / "walls.png",
         f"Walls that can be seen, in the map within {m.cfg.tolerance:g} m or missed; cells of the map that are no wall",
+        draw_walls,
+        first,
+        m.cfg.tolerance,
     )
     scene.draw(figures / "closures.png", hidden=("truth",))
     page.figure(figures / "closures.png", "Loops closed, and closures tried and refused")
@@ -282,26 +292,12 @@ def _left_out(page: Page, result: LaserExploreResult) -> None:
 def _runs(result: LaserExploreResult) -> tuple[list[str], list[list[object]]]:
     head = ["run", "seed", "finished", "steps", "mapped [%]", "collisions", "map error [m]", "trajectory RMSE [m]"]
     head += ["walls true [%]", "walls found [%]", "NEES/dof", "loops", "refused", "false"]
+    errors, loops = attrgetter("map_error", "trajectory_rmse"), attrgetter("closures", "refused", "misassociations")
     rows: list[list[object]] = []
     for r in result.runs:
         shares = [None if v is None else 100 * v for v in (r.wall_precision, r.wall_recall)]
-        rows.append(
-            [
-                r.run,
-                r.seed,
-                "yes" if r.finished else "no",
-                r.steps,
-                100 * r.area_mapped,
-                r.collisions,
-                r.map_error,
-                r.trajectory_rmse,
-                *shares,
-                r.nees_per_dof,
-                r.closures,
-                r.refused,
-                r.misassociations,
-            ]
-        )
+        run = (r.run, r.seed, "yes" if r.finished else "no", r.steps, 100 * r.area_mapped, r.collisions)
+        rows.append([*run, *errors(r), *shares, r.nees_per_dof, *loops(r)])
     return head, rows
 
 

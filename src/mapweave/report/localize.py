@@ -31,8 +31,12 @@ def write_localisation_report(folder: Path, localisation: Localisation, grid: Gr
         page.text(line, warn=not localisation.trusted)
     where, scans = folder / "figures" / "where.png", folder / "figures" / "scans.png"
     page.scene(localisation_scene(localisation, grid), "The finished map and the robot in it.", where)
-    _draw_scans(scans, localisation)
-    page.figure(scans, "How much of every scan the map explains, and how many hypotheses still count.")
+    page.figure(
+        scans,
+        "How much of every scan the map explains, and how many hypotheses still count.",
+        _draw_scans,
+        localisation,
+    )
     page.write(folder / "report.html")
 
 

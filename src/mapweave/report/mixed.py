@@ -10,13 +10,12 @@ from ..core.findings import Finding
 from ..core.names import in_order, robot_key
 from ..laser.laser_map import GridMap
 from ..team.mixed import MixedMap
-from ..team.robot_part import PARAMETERS
-from ..team.smooth import Smoothed, is_observed
+from ..team.smooth import Smoothed
 from .html import Page, sentence_case
 from .laser_figures import MOST_LAYERS, median_deviation, walls
 from .scene import Scene, landmark_points
 from .style import colour
-from .team import CALIBRATED, measured, named
+from .team import calibrations, measured, named
 from .woven import told_merge
 
 BY = {"walls": "walls that both saw", "known": "where they are known to be"}
@@ -123,25 +122,7 @@ def write_mixed_report(folder: Path, story: MixedStory) -> None:
         [colour(k) for k in range(len(story.robots))],
     )
     page.text("Seconds since the first pose of all robots.")
-    every = {robot: known for s in whole for robot, known in s.calibration.items() if known}
-    calibrations = {robot: every[robot] for robot in story.robots if robot in every}
-    if calibrations:
-        head = ["robot", *CALIBRATED]
-        prior = whole[0].prior
-        rows = [
-            [
-                robot_key(r),
-                *(
-                    f"{known[p][0]:.3f} ± {known[p][1]:.3f}{'' if is_observed(p, known[p][1], prior) else ' *'}"
-                    if p in known
-                    else ""
-                    for p in PARAMETERS
-                ),
-            ]
-            for r, known in calibrations.items()
-        ]
-        page.table(head, rows, [colour(story.robots.index(r)) for r in calibrations])
-        page.text("With one standard deviation. An asterisk: the data added little to what was assumed.")
+    calibrations(page, whole, {robot: colour(k) for k, robot in enumerate(story.robots)})
     page.write(folder / "report.html")
 
 

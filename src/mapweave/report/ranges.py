@@ -77,8 +77,12 @@ def write_range_report(folder: Path, story: RangeStory) -> None:
         [[robot_key(r.a), robot_key(r.b), r.n, r.bias, r.bias_sd, r.sd, round(r.lasting, 1), r.far] for r in e.radios],
     )
     png = folder / "figures" / "residuals.png"
-    draw_residuals(png, story)
-    page.figure(png, "Residuals of all ranges, pair by pair; those rejected most likely went round something.")
+    page.figure(
+        png,
+        "Residuals of all ranges, pair by pair; those rejected most likely went round something.",
+        draw_residuals,
+        story,
+    )
     page.write(folder / "report.html")
 
 

@@ -37,8 +37,12 @@ def write_solve_report(
     caption = "The solved poses and the edges between poses that do not follow each other."
     page.scene(graph_scene(before, solved, ids), caption, where)
     if solved.graph.edges:
-        _draw_squares(squares, solved)
-        page.figure(squares, "Squared residual of every edge in standard deviations, and what chance alone would give.")
+        page.figure(
+            squares,
+            "Squared residual of every edge in standard deviations, and what chance alone would give.",
+            _draw_squares,
+            solved,
+        )
     if solved.dropped:
         page.section("Edges dropped")
         page.table(

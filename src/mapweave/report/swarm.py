@@ -170,8 +170,15 @@ def write_network_report(out: Path, story: NetworkStory, lines: Sequence[str], m
         page.scene(side, "The same from the side.")
     page.warnings(metrics["warnings"])
     if estimate.gauge and story.truth is not None and story.aligned is not None:
-        shape_figure(figures / "shape.png", net, estimate, story.aligned, story.truth)
-        page.figure(figures / "shape.png", "The shape as answered, and fitted to the truth.")
+        page.figure(
+            figures / "shape.png",
+            "The shape as answered, and fitted to the truth.",
+            shape_figure,
+            net,
+            estimate,
+            story.aligned,
+            story.truth,
+        )
     lost = estimate.not_localisable
     if lost:
         page.section("Robots that cannot be located")
@@ -182,16 +189,26 @@ def write_network_report(out: Path, story: NetworkStory, lines: Sequence[str], m
     free = estimate.localisable & ~estimate.anchor
     if estimate.cov is not None and free.any() and np.any(net.sigma > 0):
         page.section("How sure")
-        deviation_figure(figures / "spread.png", estimate, story.aligned, story.truth)
         page.figure(
-            figures / "spread.png", "Standard deviations, and (with truth) whether errors are as large as they say."
+            figures / "spread.png",
+            "Standard deviations, and (with truth) whether errors are as large as they say.",
+            deviation_figure,
+            estimate,
+            story.aligned,
+            story.truth,
         )
     residuals = whitened(net, estimate)
     if np.any(net.sigma > 0) and len(residuals):
         page.section("Sightings")
         left = float(np.clip(estimate.dof / max(len(residuals), 1), 0.05, 1.0))
-        residual_figure(figures / "residuals.png", residuals, estimate.outlier, left)
-        page.figure(figures / "residuals.png", "Residuals of all sightings used, over their standard deviations.")
+        page.figure(
+            figures / "residuals.png",
+            "Residuals of all sightings used, over their standard deviations.",
+            residual_figure,
+            residuals,
+            estimate.outlier,
+            left,
+        )
     page.section("Robots")
     unit = "" if "scale free" in estimate.gauge else " [m]"
     page.table(["robot", *(f"{axis}{unit}" for axis in "xyz"[: net.dim]), f"sd{unit}", "located"], _robots(estimate))

@@ -11,7 +11,7 @@ from ..fusion.result import APART
 from ..landmarks.landmark_map import LocalMap
 from ..team.online import OnlineRun
 from ..team.robot_part import PARAMETERS
-from ..team.smooth import is_observed
+from ..team.smooth import Smoothed, is_observed
 from ..team.team_map import TeamMap
 from . import style, team_figures
 from .html import Page, sentence_case, told_list
@@ -192,16 +192,24 @@ def _smoothing(page: Page, story: TeamStory) -> None:
             ate = mean_or_none([r.ate for r in score.robots.values()])
             rows.append([name, score.landmarks.rmse, ate, score.landmarks.nees_per_dof])
         page.table(["map", "landmark RMSE [m]", "mean ATE [m]", "NEES / dof"], rows)
-    every = {robot: known for s in story.smoothed for robot, known in s.calibration.items()}
-    calibrations = {robot: every[robot] for robot in story.robots if robot in every}
-    if calibrations:
-        head = ["robot", *CALIBRATED]
-        rows = [
-            [robot_key(robot), *(_calibration_text(known, p, story) for p in PARAMETERS)]
-            for robot, known in calibrations.items()
-        ]
-        page.table(head, rows, [_tint(story, robot) for robot in calibrations])
+    calibrations(page, story.smoothed, {robot: _tint(story, robot) for robot in story.robots})
+
+
+def calibrations(page: Page, smoothed: Sequence[Smoothed], tints: Mapping[str, str]) -> None:
+    """The table of what was found of every robot's wheels and camera; tints: robot -> its colour, in order."""
+    every = {robot: known for s in smoothed for robot, known in s.calibration.items() if known}
+    told = {robot: every[robot] for robot in tints if robot in every}
+    if told:
+        rows = [[robot_key(r), *(_found(known, p, smoothed[0]) for p in PARAMETERS)] for r, known in told.items()]
+        page.table(["robot", *CALIBRATED], rows, [tints[robot] for robot in told])
         page.text("With one standard deviation. An asterisk: the data added little to what was assumed.")
+
+
+def _found(known: Mapping[str, tuple[float, float]], name: str, smoothed: Smoothed) -> str:
+    if name not in known:
+        return ""
+    value, sd = known[name]
+    return f"{value:.3f} ± {sd:.3f}{'' if is_observed(name, sd, smoothed.prior) else ' *'}"
 
 
 def _online(page: Page, run: OnlineRun) -> None:
@@ -225,13 +233,6 @@ def _online(page: Page, run: OnlineRun) -> None:
             f"When the logs ended, smoothing everything to the end took {run.closing:.2f} s and moved landmarks by "
             f"{run.landmarks_moved:.4f} m{ways} (root mean square)."
         )
-
-
-def _calibration_text(known: Mapping[str, tuple[float, float]], name: str, story: TeamStory) -> str:
-    if name not in known:
-        return ""
-    value, sd = known[name]
-    return f"{value:.3f} ± {sd:.3f}{'' if is_observed(name, sd, story.smoothed[0].prior) else ' *'}"
 
 
 def _fusion(page: Page, figures: Path, story: TeamStory) -> None:

@@ -159,8 +159,7 @@ def write_pairs(
     for merge in shown[:MOST_PICTURES]:
         path = folder / "figures" / f"pair_{_file(merge.a)}_{_file(merge.b)}.png"
         tints = robot_colour(places[merge.a]), robot_colour(places[merge.b])
-        draw_pair(path, merge, graphs[merge.a], graphs[merge.b], tints)
-        page.figure(path, f"{told_merge(merge)}.")
+        page.figure(path, f"{told_merge(merge)}.", draw_pair, merge, graphs[merge.a], graphs[merge.b], tints)
     if len(shown) > MOST_PICTURES:
         page.text(f"{len(shown) - MOST_PICTURES} more pairs are in the table only.")
 
@@ -212,8 +211,14 @@ def _component(
     )
     if woven.feature != "none":
         light = (folder if k == 1 else folder / "components" / str(k)) / "intensity.png"
-        draw_intensity(light, woven.grid, woven.feature, names)
-        page.figure(light, "How bright every occupied cell is; grid.npz holds the same as numbers.")
+        page.figure(
+            light,
+            "How bright every occupied cell is; grid.npz holds the same as numbers.",
+            draw_intensity,
+            woven.grid,
+            woven.feature,
+            names,
+        )
 
 
 def _way(track: Track) -> float:
