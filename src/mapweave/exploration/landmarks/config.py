@@ -29,6 +29,9 @@ from ..world import (
     wall_segments,
 )
 
+WALLS_COMFORT = 1.2  # [m] beyond the radius that robots keep where nothing draws them nearer
+FIELD_WALL_GAP = 0.3  # [m] that random landmarks keep from walls
+
 Limits = tuple[tuple[int, float], ...]  # (layouts, share of the error)
 
 
@@ -37,7 +40,6 @@ class SteeringConfig:
     """How a robot gets to a place it was given."""
 
     heading_cost: float = 3.0  # [m/rad] that a wrong heading counts as: no circling round a goal, no crawling
-    landmark_reached: float = 4.0  # [m] from a landmark at which a lost robot has tried it: well within the reach
     lost: float = 6.0  # [m], sd of a robot's place in the map beyond which it looks for known landmarks
 
 
@@ -47,27 +49,16 @@ class LapSearchConfig:
 
     tries: int = 700  # changes tried of a plan: with the others, twelve seconds for the paper's field
     first_plans: int = 4  # that are improved a little before the best of them are chosen
-    finalists: int = 2  # of these that are improved further before one is chosen
-    fine_share: float = 0.4  # of the tries that the chosen one gets once more, judged on more layouts
-    fine_heat: float = 0.25  # of the heat with which that begins: it refines and does not wander off
     most_places: int = 12  # a lap: more make the search slower and the laps no better
     arrived: float = 5.0  # [m] from a place at which it is reached: cutting corners costs no coverage within the reach
-    tail_steps: int = 40  # [steps] of driving judged beyond the laps: what repair takes where something is left
-    missed_cost: float = 10.0  # [steps] for each landmark that the laps are expected to miss
     coarse_cell: float = 2.0  # [m], cells in which coverage is judged: four times faster than the field's own
-    reach_margin: float = 0.7  # [m] of the reach not counted on: the true drive will differ a little
     pose_stride: int = 12  # [steps] between the poses that carry the information
     border: float = 12.0  # [m] from the border at which the first plans' ring lies, a little less than the reach
     overlap: float = 1.2  # of its share of the ring that a robot may go round, on into the next one's
-    rough_layouts: int = 8  # of landmarks on which the map's error of first plans is judged
     layouts: int = 24  # the same of the finalists: on 8 the best plan is the one that suits just these
-    hopeless: Limits = ((8, 0.85), (24, 0.92))  # after so many a plan is given up whose error, times this, is too much
-    hopeless_by_now: Limits = ((1, 0.85), (2, 0.9), (4, 0.94))  # the same under way, when layouts share what is known
-    fine_layouts: int = 96  # the same of the chosen one
     looks: int = 1  # that are counted for each of those poses, evenly spread around it
     sight_margin: float = 0.0  # [m] of the reach in which landmarks are not counted on to be seen
     revisits: float = 0.3  # of the changes tried under way that send a robot by a known landmark
-    layouts_by_now: int = 4  # on which a plan is judged under way, when most landmarks are known
     tries_by_now: int = 120  # changes tried under way: a tenth of a second
     least_range: float = 2.0  # [m], sightings from nearer are not counted on to tell more
 
@@ -78,14 +69,11 @@ class CoverageConfig:
 
     radius: float = 10.0  # [m] of a disc: two thirds of the reach, so that passing its middle shows all of it
     replan_every: int = 4  # [steps] between plans: two seconds, in which a robot sees what changes its tour
-    gain_weight: float = 0.12  # [m] that a newly seen cell is worth: a course over new ground may be a little longer
     rate: float = 22.0  # [m^2] of field a robot and step: how long the tours of an open field take
     rate_alone: float = 19.0  # [m^2] the same for one robot
     error_weight: float = 70.0  # [steps/m] that expected map error is worth
-    revise_from: int = 40  # [steps] before which too little is known to change tours for
     revise_every: int = 10  # [steps] between changes: a robot has seen new ground as deep as half its reach by then
     sure_margin: float = 0.7  # [m] by which a cell must be within the reach to count as seen when tours are changed
-    same_landmark: float = 3.0  # [m] within which two landmarks count as one when tours are changed
     tour_radius: float = 13.0  # [m] of a disc of the first tours, which are improved as laps are
     search: LapSearchConfig = LapSearchConfig(looks=4, sight_margin=0.7)  # with looks every third step of a lap
     turn_cost: float = 2.0  # [m/rad] that turning towards the first disc counts as: half a turn takes about 4 s
@@ -111,8 +99,6 @@ class JointConfig:
     density: float = 1 / 275  # [1/m^2] landmarks expected: those of the paper's field
     error_weight: float = 100.0  # [steps/m] that expected map error is worth
     sure_margin: float = 1.0  # [m] by which a cell must be within the reach to be surely seen: poses are estimates
-    sure_levels: int = 4  # multiples of that margin, after which what was seen least surely is looked at again
-    most_robot_steps: int = 800  # robots times steps beyond which planning would take minutes and `loop` takes over
     search: LapSearchConfig = LapSearchConfig()
 
 
@@ -122,15 +108,9 @@ class WallsConfig:
 
     robot_radius: float = 0.3  # [m] of the disc that a robot is
     margin: float = 0.4  # [m] beyond the radius that planned paths and offered controls keep from walls
-    comfort: float = 1.2  # [m] beyond the radius that robots keep where nothing draws them nearer
     path_cell: float = 0.4  # [m], raster on which paths round walls are found: half of what the narrowest door needs
     put_off_after: int = 60  # [steps] after which a target that was not seen is put off
-    contact_steps: int = 40  # [steps] for which the place where a robot met a wall unexpectedly is kept clear of
-    view_margin: float = 1.0  # [m] a cell must be nearer than the reach to count as one that can be seen
-    view_neighbours: int = 5  # places around a place that must see it too: no robot stands quite where it meant to
-    search_radius: float = 5.0  # [m] around an estimated pose in which it finds ground to stand on
     stride: int = 3  # [cells] of its path that a robot looks ahead where room is scarce
-    least_pocket: float = 1.0  # [m^2] of unseen ground that is worth telling of
     station_spacing: float = 2.0  # [m] between the places considered by `coverage` and `loop`
     leg: float = 2.0  # [m] of the path ahead whose narrowness allows a robot to come nearer to walls
     detour: float = 6.0  # [m] within which a robot plans its path round places where a wall was met lately
@@ -227,7 +207,6 @@ class ScenarioConfig(WorldConfig):
     lower: tuple[float, float] | None = None  # [m], corner of the field
     upper: tuple[float, float] | None = None  # [m], the opposite corner
     landmarks: int | tuple[tuple[float, float], ...] = YUAN_LANDMARKS  # how many at random, or where [m]
-    wall_gap: float = 0.3  # [m] that random landmarks keep from walls
 
 
 def find_scenario(name: str) -> ScenarioConfig:
@@ -308,7 +287,7 @@ def make_field(scenario: ScenarioConfig, robots: int | None, seed: int) -> Field
         if scenario.landmarks < 1:
             raise DataError("the scenario has no landmarks: there is nothing to map")
         rng = np.random.default_rng([seed, 0])
-        landmarks = _scatter(lower, upper, scenario.landmarks, walls, scenario.wall_gap, floor_plan(scenario), rng)
+        landmarks = _scatter(lower, upper, scenario.landmarks, walls, FIELD_WALL_GAP, floor_plan(scenario), rng)
     else:
         landmarks = np.array(scenario.landmarks, dtype=float).reshape(-1, 2)
     return Field(lower, upper, landmarks, _starts(scenario, robots, lower, upper), walls)

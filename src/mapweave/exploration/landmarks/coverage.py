@@ -19,6 +19,10 @@ from .floor_plan import FloorPlan
 from .laps import begin, drive, find_laps, follow, improve_tours, lap_steps, lap_task, mark_sure, revise
 from .steering import ahead, given_up, nearest_unexplored, new_cells, next_target, offered, steer
 
+COVERAGE_GAIN_WEIGHT = 0.12  # [m] that a newly seen cell is worth: a course over new ground may be a little longer
+JOINT_SURE_LEVELS = 4  # multiples of that margin, after which what was seen least surely is looked at again
+JOINT_MOST_ROBOT_STEPS = 800  # robots times steps beyond which planning would take minutes and `loop` takes over
+
 
 def choose(belief: LandmarkBelief, poses: Float[np.ndarray, "r 3"], cfg: ExploreConfig) -> Float[np.ndarray, "r 2"]:
     """Each live robot follows its tour in an open field; elsewhere, and afterwards, what is left is covered.
@@ -27,7 +31,7 @@ def choose(belief: LandmarkBelief, poses: Float[np.ndarray, "r 3"], cfg: Explore
     """
     memory = belief.memory
     if "tour_steps" not in memory:
-        memory["tour_steps"] = lap_steps(belief, cfg.coverage, cfg.joint.most_robot_steps)
+        memory["tour_steps"] = lap_steps(belief, cfg.coverage, JOINT_MOST_ROBOT_STEPS)
         if memory["tour_steps"]:
             begin_tours(belief, poses, cfg)
     if not memory["tour_steps"]:
@@ -135,9 +139,7 @@ def towards(
     error = np.abs(wrap_angle(np.arctan2(d[:, 1], d[:, 0]) - after[:, 2]))
     distance = np.hypot(d[:, 0], d[:, 1])
     gain = new_cells(belief, j, after, cfg)
-    return np.asarray(
-        controls[np.argmin(distance + cfg.steering.heading_cost * error - cfg.coverage.gain_weight * gain)]
-    )
+    return np.asarray(controls[np.argmin(distance + cfg.steering.heading_cost * error - COVERAGE_GAIN_WEIGHT * gain)])
 
 
 def discs(belief: LandmarkBelief, cells: Float[np.ndarray, "n 2"], radius: float) -> Float[np.ndarray, "k 2"]:
@@ -247,7 +249,7 @@ def choose_joint(
     """
     memory = belief.memory
     if "lap_steps" not in memory:
-        memory["lap_steps"] = lap_steps(belief, cfg.joint, cfg.joint.most_robot_steps)
+        memory["lap_steps"] = lap_steps(belief, cfg.joint, JOINT_MOST_ROBOT_STEPS)
         if memory["lap_steps"]:
             task = lap_task(belief, poses, memory["lap_steps"], cfg.joint, cfg)
             begin(belief, task, find_laps(task))
@@ -271,7 +273,7 @@ def _note(belief: LandmarkBelief, poses: np.ndarray, cfg: ExploreConfig) -> None
     Poses are estimates: what was seen at the edge of the reach alone may not have been seen at all.
     """
     joint = cfg.joint
-    sure = belief.memory.setdefault("sure", np.zeros((joint.sure_levels, *belief.explored.fused.shape), dtype=bool))
+    sure = belief.memory.setdefault("sure", np.zeros((JOINT_SURE_LEVELS, *belief.explored.fused.shape), dtype=bool))
     for k, cells in enumerate(sure):
         mark_sure(belief, poses, (k + 1) * joint.sure_margin, cells)
 

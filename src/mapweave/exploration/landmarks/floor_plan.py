@@ -13,7 +13,12 @@ from ...kernels.walls.segments import Raster, sight_on_raster
 from ...kernels.walls.sight import nearest_views, points_in_sight
 from ...sim.landmarks import Field
 from ..ground import CostToGo, Ground
-from .config import ExploreConfig, WallsConfig
+from .config import WALLS_COMFORT, ExploreConfig, WallsConfig
+
+WALLS_VIEW_MARGIN = 1.0  # [m] a cell must be nearer than the reach to count as one that can be seen
+WALLS_VIEW_NEIGHBOURS = 5  # places around a place that must see it too: no robot stands quite where it meant to
+WALLS_SEARCH_RADIUS = 5.0  # [m] around an estimated pose in which it finds ground to stand on
+WALLS_LEAST_POCKET = 1.0  # [m^2] of unseen ground that is worth telling of
 
 KEPT = 64  # goals whose distances are remembered
 
@@ -49,7 +54,7 @@ class FloorPlan:
         """For each point the ground (row, col) to stand on: its own, the nearest in sight, or else the nearest."""
         r = self.ground
         out = nearest_views(
-            frozen(points), r.free, Raster(r.lower, r.cell), self.cfg.search_radius, self.walls.segments, 0
+            frozen(points), r.free, Raster(r.lower, r.cell), WALLS_SEARCH_RADIUS, self.walls.segments, 0
         )
         lost = np.flatnonzero(out[:, 0] < 0)
         if len(lost):
@@ -115,7 +120,7 @@ class FloorPlan:
         d = np.linalg.norm(r.centres(np.argwhere(r.free))[:, None] - shut[None], axis=-1)
         free = r.free.copy()
         free[r.free] = d.min(axis=1) >= room
-        without = Ground(np.where(free, r.weight, np.uint8(0)), r.lower, r.cell, self.cfg.search_radius)
+        without = Ground(np.where(free, r.weight, np.uint8(0)), r.lower, r.cell, WALLS_SEARCH_RADIUS)
         return without.cost_to_go(without.cells(r.centres(np.array([to]))))
 
     def sees(self, place: Float[np.ndarray, "2"], points: Float[np.ndarray, "n 2"], far: float) -> np.ndarray:
@@ -136,7 +141,7 @@ def survey_floor(world: Field, walls: Walls, cfg: ExploreConfig) -> FloorPlan:
     raster = Raster(lower, cell)
     free = ~walls.blocked(lower, world.upper, cell, room)
     starts = frozen(world.starts[:, :2])
-    at = nearest_views(starts, free, raster, cfg.walls.search_radius, walls.segments, 0)
+    at = nearest_views(starts, free, raster, WALLS_SEARCH_RADIUS, walls.segments, 0)
     for j in np.flatnonzero(at[:, 0] < 0):
         x, y = starts[j]
         raise DataError(f"robot {j + 1} at ({x:g}, {y:g}) has nowhere to go: no ground with {room:g} m of room is near")
@@ -144,15 +149,15 @@ def survey_floor(world: Field, walls: Walls, cfg: ExploreConfig) -> FloorPlan:
     free = np.isin(regions, regions[at[:, 0], at[:, 1]])
     weight = np.ones(free.shape)
     for share in (0.75, 1.0):
-        weight += walls.blocked(lower, world.upper, cell, cfg.walls.robot_radius + share * cfg.walls.comfort)
+        weight += walls.blocked(lower, world.upper, cell, cfg.walls.robot_radius + share * WALLS_COMFORT)
     ground = Ground.of(free, lower, cell, weight=weight)
     nx, ny = (int(np.ceil((world.upper[k] - lower[k]) / cfg.mission.cell - 1e-9)) for k in (0, 1))
     x, y = (lower[k] + (np.arange(n) + 0.5) * cfg.mission.cell for k, n in ((0, nx), (1, ny)))
     centres = frozen(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
-    far = cfg.submap.reach - cfg.walls.view_margin
-    views = nearest_views(centres, ground.free, raster, far, walls.segments, cfg.walls.view_neighbours)
+    far = cfg.submap.reach - WALLS_VIEW_MARGIN
+    views = nearest_views(centres, ground.free, raster, far, walls.segments, WALLS_VIEW_NEIGHBOURS)
     views[walls.inside(centres)] = -1
-    marks = nearest_views(frozen(world.landmarks), ground.free, raster, far, walls.segments, cfg.walls.view_neighbours)
+    marks = nearest_views(frozen(world.landmarks), ground.free, raster, far, walls.segments, WALLS_VIEW_NEIGHBOURS)
     seen = (views[:, 0] >= 0).reshape(ny, nx)
     return FloorPlan(
         walls,
@@ -201,5 +206,5 @@ def _pockets(
         pieces, count = label(unseen == part)
         area = np.bincount(pieces.ravel(), minlength=count + 1) * cell**2
         stands = set(np.unique(pieces[roomy]))
-        areas += [float(area[k]) for k in range(1, count + 1) if k in stands and area[k] >= cfg.walls.least_pocket]
+        areas += [float(area[k]) for k in range(1, count + 1) if k in stands and area[k] >= WALLS_LEAST_POCKET]
     return tuple(sorted(areas, reverse=True))

@@ -26,6 +26,20 @@ from .belief import LandmarkBelief
 from .config import CoverageConfig, ExploreConfig, JointConfig, LapSearchConfig
 from .steering import steer
 
+LAPS_FINALISTS = 2  # of these that are improved further before one is chosen
+LAPS_FINE_SHARE = 0.4  # of the tries that the chosen one gets once more, judged on more layouts
+LAPS_FINE_HEAT = 0.25  # of the heat with which that begins: it refines and does not wander off
+LAPS_TAIL_STEPS = 40  # [steps] of driving judged beyond the laps: what repair takes where something is left
+LAPS_MISSED_COST = 10.0  # [steps] for each landmark that the laps are expected to miss
+LAPS_REACH_MARGIN = 0.7  # [m] of the reach not counted on: the true drive will differ a little
+LAPS_ROUGH_LAYOUTS = 8  # of landmarks on which the map's error of first plans is judged
+LAPS_HOPELESS = ((8, 0.85), (24, 0.92))  # after so many a plan is given up whose error, times this, is too much
+LAPS_HOPELESS_BY_NOW = ((1, 0.85), (2, 0.9), (4, 0.94))  # the same under way, when layouts share what is known
+LAPS_FINE_LAYOUTS = 96  # the same of the chosen one
+LAPS_LAYOUTS_BY_NOW = 4  # on which a plan is judged under way, when most landmarks are known
+COVERAGE_REVISE_FROM = 40  # [steps] before which too little is known to change tours for
+COVERAGE_SAME_LANDMARK = 3.0  # [m] within which two landmarks count as one when tours are changed
+
 Plan = tuple[Float[np.ndarray, "r k 2"], Int[np.ndarray, " r"]]
 MEAN_OF_RMS = 0.886  # mean distance over its root mean square, for a round Gaussian
 
@@ -100,7 +114,7 @@ class LapJudge:
         share = self.shares(track)
         missed = self.landmarks * (1.0 - share[-1])
         late = (1.0 - share[max(t.steps - self.step, 0) :] ** self.landmarks).sum()
-        cost = float(t.steps + late + t.search.missed_cost * missed)
+        cost = float(t.steps + late + LAPS_MISSED_COST * missed)
         if cost > enough:
             return cost
         left = (enough - cost) / t.error_weight if t.error_weight else np.inf
@@ -110,12 +124,12 @@ class LapJudge:
         """Poses (M, n, 3) of a drive without noise from now on, a little longer than the task."""
         t = self.task
         rules = LapRules(self.controls, t.submap.period, self.lower, self.upper, t.search.arrived, t.heading_cost)
-        return drive_laps(*plan, self.here, rules, max(t.steps - self.step, 0) + t.search.tail_steps)
+        return drive_laps(*plan, self.here, rules, max(t.steps - self.step, 0) + LAPS_TAIL_STEPS)
 
     def shares(self, track: np.ndarray) -> np.ndarray:
         """What share of the field is seen by each step of `track`."""
         s, search = self.task.submap, self.task.search
-        sector = Sector(s.reach - search.reach_margin, s.half_angle)
+        sector = Sector(s.reach - LAPS_REACH_MARGIN, s.half_angle)
         return seen_shares(track, self.past.explored, sector, Raster(self.lower, search.coarse_cell))
 
     def error(self, track: np.ndarray, enough: float = np.inf) -> float:
@@ -137,7 +151,7 @@ class LapJudge:
             max(1, every // search.looks),
         )
         odometry = odometry_information(whole, every, s.Q)
-        limits = dict(search.hopeless_by_now if self.step else search.hopeless)
+        limits = dict(LAPS_HOPELESS_BY_NOW if self.step else LAPS_HOPELESS)
         total = 0.0  # of landmarks seen: those missed are dear already
         for k, marks in enumerate(self.layouts):
             S = odometry.copy()
@@ -170,12 +184,12 @@ def find_laps(task: LapTask) -> tuple[Laps, int]:
     The same for the same task; the step is no sooner than the task's.
     """
     rng, search = np.random.default_rng(0), task.search
-    rough, judge, fine = (LapJudge(task, n) for n in (search.rough_layouts, search.layouts, search.fine_layouts))
+    rough, judge, fine = (LapJudge(task, n) for n in (LAPS_ROUGH_LAYOUTS, search.layouts, LAPS_FINE_LAYOUTS))
     first = sorted(_first_plans(task), key=rough)[: search.first_plans]
     begun = sorted((_improve(plan, rough, search.tries // 4, rng) for plan in first), key=lambda b: b[0])
-    better = [_improve(plan, judge, search.tries, rng) for _, plan in begun[: search.finalists]]
+    better = [_improve(plan, judge, search.tries, rng) for _, plan in begun[:LAPS_FINALISTS]]
     best = min(better, key=lambda b: b[0])[1]
-    _, plan = _improve(best, fine, round(search.fine_share * search.tries), rng, search.fine_heat)
+    _, plan = _improve(best, fine, round(LAPS_FINE_SHARE * search.tries), rng, LAPS_FINE_HEAT)
     return _laps(plan), _end(plan, fine)
 
 
@@ -191,7 +205,7 @@ def improve_tours(task: LapTask, tours: tuple[tuple[tuple[float, float], ...], .
 def revise_laps(task: LapTask, past: Past, laps: Laps) -> tuple[Laps, int]:
     """What is left of `laps`, changed for what is known by now, and the step at which they show nothing new."""
     search = task.search
-    judge = LapJudge(task, search.layouts_by_now, past)
+    judge = LapJudge(task, LAPS_LAYOUTS_BY_NOW, past)
     rng = np.random.default_rng(judge.step)
     _, plan = _improve(_plan(laps, search.most_places), judge, search.tries_by_now, rng)
     return _laps(plan), _end(plan, judge)
@@ -396,14 +410,14 @@ def revise(belief: LandmarkBelief, poses: np.ndarray, cfg: CoverageConfig) -> No
     memory.setdefault("trail", []).append(poses.copy())
     surely = memory.setdefault("surely", np.zeros_like(belief.explored.fused))
     mark_sure(belief, poses, cfg.sure_margin, surely)
-    if not cfg.revise_from <= belief.step < task.steps or belief.step % cfg.revise_every:
+    if not COVERAGE_REVISE_FROM <= belief.step < task.steps or belief.step % cfg.revise_every:
         return
     laps = tuple(
         np.array(lap if alive else []).reshape(-1, 2) for lap, alive in zip(memory["laps"], belief.alive, strict=True)
     )
     past = Past(
         np.stack(memory["trail"], axis=1),
-        _known(belief, cfg.same_landmark),
+        _known(belief, COVERAGE_SAME_LANDMARK),
         _coarse(surely, belief, task),
         belief.alive.copy(),
     )

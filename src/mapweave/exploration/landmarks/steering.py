@@ -11,8 +11,10 @@ from ...kernels.walls.segments import Sector, distance_of_moves
 from ...kernels.walls.sight import unexplored_in_sight
 from ...landmarks.submap_slam import move
 from .belief import LandmarkBelief
-from .config import ExploreConfig
+from .config import WALLS_COMFORT, ExploreConfig
 from .floor_plan import FloorPlan
+
+STEERING_LANDMARK_REACHED = 4.0  # [m] from a landmark at which a lost robot has tried it: well within the reach
 
 
 def offered(
@@ -52,7 +54,7 @@ def clear_controls(
     nearest to its heading, or to the way `towards` a place.
     """
     obstacles = owned(np.vstack([floor.walls.segments, np.hstack([belief.contacts, belief.contacts])]))
-    comfort = cfg.walls.comfort
+    comfort = WALLS_COMFORT
     if towards is not None:
         step = towards - pose[:2]
         near = pose[:2] + step * min(1.0, cfg.walls.leg / max(float(np.hypot(*step)), 1e-9))
@@ -134,7 +136,7 @@ def way_back(belief: LandmarkBelief, j: int, pose: Float[np.ndarray, "3"], cfg: 
         return None
     seen = tried.setdefault(j, set())
     d = np.hypot(*(G.mean - pose[:2]).T)
-    seen.update(G.ids[i] for i in np.flatnonzero(d < cfg.steering.landmark_reached))
+    seen.update(G.ids[i] for i in np.flatnonzero(d < STEERING_LANDMARK_REACHED))
     left = [i for i in range(len(G.ids)) if G.ids[i] not in seen]
     if not left:
         seen.clear()

@@ -28,6 +28,8 @@ from .belief import Explored, LandmarkBelief, Planner
 from .config import ExploreConfig
 from .floor_plan import FloorPlan, survey_floor
 
+WALLS_CONTACT_STEPS = 40  # [steps] for which the place where a robot met a wall unexpectedly is kept clear of
+
 
 @dataclass(slots=True)
 class Bumper:
@@ -215,7 +217,7 @@ class Team:
             before = perf_counter()
             commands = self._commands()
             seconds, decisions = perf_counter() - before, int(self.alive.sum())
-            self.bumper.forget(self.step - self.cfg.walls.contact_steps)
+            self.bumper.forget(self.step - WALLS_CONTACT_STEPS)
             seen = tuple(
                 self._drive(j, commands[j]) if self.alive[j] else _NO_SIGHTINGS for j in range(len(self.robots))
             )

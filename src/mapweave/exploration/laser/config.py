@@ -36,9 +36,6 @@ class GoalConfig:
     arrived: float = 0.35  # [m] from a goal at which a robot is there: a cell and a half of the planning grid
     snap: float = 1.0  # [m] within which a place off the ground counts as its nearest cell
     progress: float = 0.2  # [m] nearer that counts as progress: a cell of the planning grid
-    seen_share: float = 0.8  # of a goal's unknown cells after which it is done: the rest is noise of the walls
-    spare_way: float = 20.0  # [m] farther than needed that paths to a goal are looked for, so that detours are known
-    patience_factor: int = 10  # times `patience` after which a goal is put off however often it came nearer
     same: float = 0.8  # [m] between places below which they are one goal: two robots' width
 
 
@@ -49,10 +46,8 @@ class FollowerConfig:
     lookahead: float = 2.0  # [m] of path that is looked ahead: three seconds at full speed
     reverse_speed: float = 1 / 3  # of the top speed backwards, to leave a tight spot
     heading_cost: float = 0.8  # [m/rad] that a wrong heading counts as,
-    heading_near: float = 0.3  # [m] from the place, and less nearer by
     reverse_cost: float = 0.25  # [m] that driving backwards counts as: turning round is better where there is room
     arc_sample: float = 0.02  # [m] between the samples of an arc: half of `guard`
-    closeness_cost: float = 0.3  # [m] that a metre of clearance below `roomy` counts as
 
 
 @config
@@ -60,27 +55,15 @@ class RightOfWayConfig:
     """Two robots in one door: who goes first, where the other waits, what a stuck one does."""
 
     meeting: float = 2.5  # [m] apart beyond which robots do not meet
-    next_way: float = 2.0  # [m] of a robot's path on which another stands in its way
-    clear_way: float = 6.0  # [m] of the other's path that a waiting robot keeps clear of: through a door and on
-    wait_steps: int = 40  # [steps] that a robot waits aside at most
     beside: float = 0.1  # [m] beyond what two robots need to pass, where a robot waits
-    left_place: float = 0.6  # [m] from where a robot was beyond which it has left that place
-    stuck_steps: int = 30  # [steps] about one place after which a robot tries something else
-    retry_from: float = 1.0  # [m] of path at least to the place it tries again from
-    retry_to: float = 4.0  # [m] of path at most to that place
-    retry_steps: int = 15  # [steps] that getting there may take
-    retry_arrived: float = 0.3  # [m] from that place at which it is reached
     parted: float = 1.5  # times `meeting` apart beyond which nobody waits for the other any more
     standing: float = 0.03  # [m] a step, up to which a robot stands still
-    leaving_steps: int = 3  # [steps] of standing still up to which a robot with a goal is about to leave
 
 
 @config
 class AllocationConfig:
     """Which robot gets which piece of frontier."""
 
-    same_piece: float = 1.5  # [m] from the goal that was made of it within which what is left of a piece lies
-    on_the_way: float = 1.0  # [m], a detour that small is none
     turn_cost: float = 0.6  # [m/rad] that turning towards a goal counts as: what the robot would drive meanwhile
     wall_cost: int = 4  # what a metre of path by a wall counts beside one in the open, 1 to 255
     parked_cost: int = 12  # what a metre of path where a robot stands counts: one goes round it if one can
@@ -107,17 +90,14 @@ class LaserExploreConfig:
     split: float = 2.5  # [m], longest side of a piece of frontier that makes one goal
     most_goals: int = 40  # considered at once; longer frontiers are cut into larger pieces
     replan_every: int = 12  # [steps] between plans: six seconds, in which a robot sees a new room
-    replan_soonest: int = 4  # [steps] between plans at least, when a robot has nothing to do
     keep: float = 2.0  # [m] that another goal must be nearer before a robot changes its mind
     service: float = 2.0  # [m] that looking round at a goal counts as
     patience: int = 40  # [steps] without coming nearer after which a goal is put off
     look: int = 4  # [steps] at a goal that nothing new comes of after which it is put off
     put_off: int = 100  # [steps] for which a goal is put off; twice as long every time
-    give_up: int = 3  # times a goal was put off, then it is given up
     w_accuracy: float = 1 / 3  # weight of known walls around a goal, planners `paper` and `area`
     w_area: float = 1 / 3  # weight of unknown ground around a goal
     w_apart: float = 1 / 3  # weight of the distance from the others
-    w_way: float = 0.5  # what 20 m of path cost beside these
     max_steps: int = 20000  # [steps] after which a run ends unfinished
     goals: GoalConfig = GoalConfig()
     follower: FollowerConfig = FollowerConfig()
@@ -136,7 +116,6 @@ class LaserMissionConfig:
     plan: LaserExploreConfig = field(default_factory=LaserExploreConfig)
     map_resolution: float = 0.05  # [m], of the map that is written and scored
     tolerance: float = 0.1  # [m] from a wall up to which a cell of the map shows it: two cells
-    new_ground: int = 12  # samples on beams in unknown cells from which on a scan showed something new
     beam_stride: int = 4  # every so many beams are sampled for it
     frontier_check_every: int = 10  # [steps] between looks for frontiers where the planner never says it has finished
     false_distance: float = 0.5  # [m] off the truth beyond which a closure counts as joining places that are two

@@ -21,6 +21,10 @@ from ..planner_interface import TeamBelief, query_planner
 from .config import LaserExploreConfig, LaserMissionConfig, LaserPlace
 from .frontiers import MappedGround, disc_mask, frontiers, mapped_ground
 
+WAY_LEFT_PLACE = 0.6  # [m] from where a robot was beyond which it has left that place
+PLAN_GIVE_UP = 3  # times a goal was put off, then it is given up
+MISSION_NEW_GROUND = 12  # samples on beams in unknown cells from which on a scan showed something new
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaserBelief(TeamBelief):
@@ -95,14 +99,14 @@ class PlannerState:
     last: np.ndarray | None = None  # poses a step ago
     home: np.ndarray | None = None
 
-    def given_up(self, cfg: LaserExploreConfig) -> Float[np.ndarray, "n 2"]:
+    def given_up(self) -> Float[np.ndarray, "n 2"]:
         """Places that nobody tries to reach any more."""
-        return np.array([p for p, _, times in self.put_off if times >= cfg.give_up]).reshape(-1, 2)
+        return np.array([p for p, _, times in self.put_off if times >= PLAN_GIVE_UP]).reshape(-1, 2)
 
     def barred(self, place: np.ndarray, step: int, cfg: LaserExploreConfig, *, waiting: bool = True) -> bool:
         """Whether `place` was given up, or (`waiting`) was put off until later than `step`."""
         return any(
-            np.hypot(*(place - p)) < cfg.goals.same and (times >= cfg.give_up or (waiting and step < until))
+            np.hypot(*(place - p)) < cfg.goals.same and (times >= PLAN_GIVE_UP or (waiting and step < until))
             for p, until, times in self.put_off
         )
 
@@ -137,7 +141,7 @@ def planner_state_of(belief: LaserBelief, poses: np.ndarray, cfg: LaserExploreCo
     else:
         moving = np.hypot(*(poses[:, :2] - state.last[:, :2]).T) > cfg.right_of_way.standing
         state.still = np.where(moving, 0, state.still + 1)
-        left = np.hypot(*(poses[:, :2] - state.about[:, :2]).T) > cfg.right_of_way.left_place
+        left = np.hypot(*(poses[:, :2] - state.about[:, :2]).T) > WAY_LEFT_PLACE
         state.about[left] = np.column_stack([poses[left, :2], np.full(int(left.sum()), belief.step)])
     state.last = poses.copy()
     return state
@@ -321,7 +325,7 @@ class LaserRun:
         kept = along[None] < r[:, None] - grid.resolution
         points = pose[:2] + along[None, :, None] * np.column_stack([np.cos(angle), np.sin(angle)])[:, None]
         known = known_at(points[kept], grid.state != -1, grid.origin, grid.resolution)
-        return int((~known).sum()) >= self.cfg.new_ground
+        return int((~known).sum()) >= MISSION_NEW_GROUND
 
     def _moment(
         self, commands: np.ndarray, scans: tuple[Scan | None, ...], seconds: float, decisions: int

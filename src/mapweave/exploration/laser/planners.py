@@ -28,6 +28,25 @@ from .mission import (
     with_parked,
 )
 
+GOALS_SEEN_SHARE = 0.8  # of a goal's unknown cells after which it is done: the rest is noise of the walls
+GOALS_SPARE_WAY = 20.0  # [m] farther than needed that paths to a goal are looked for, so that detours are known
+GOALS_PATIENCE_FACTOR = 10  # times `patience` after which a goal is put off however often it came nearer
+FOLLOW_HEADING_NEAR = 0.3  # [m] from the place, and less nearer by
+FOLLOW_CLOSENESS_COST = 0.3  # [m] that a metre of clearance below `roomy` counts as
+WAY_NEXT_WAY = 2.0  # [m] of a robot's path on which another stands in its way
+WAY_CLEAR_WAY = 6.0  # [m] of the other's path that a waiting robot keeps clear of: through a door and on
+WAY_WAIT_STEPS = 40  # [steps] that a robot waits aside at most
+WAY_STUCK_STEPS = 30  # [steps] about one place after which a robot tries something else
+WAY_RETRY_FROM = 1.0  # [m] of path at least to the place it tries again from
+WAY_RETRY_TO = 4.0  # [m] of path at most to that place
+WAY_RETRY_STEPS = 15  # [steps] that getting there may take
+WAY_RETRY_ARRIVED = 0.3  # [m] from that place at which it is reached
+WAY_LEAVING_STEPS = 3  # [steps] of standing still up to which a robot with a goal is about to leave
+SHARED_SAME_PIECE = 1.5  # [m] from the goal that was made of it within which what is left of a piece lies
+SHARED_ON_THE_WAY = 1.0  # [m], a detour that small is none
+PLAN_REPLAN_SOONEST = 4  # [steps] between plans at least, when a robot has nothing to do
+PLAN_W_WAY = 0.5  # what 20 m of path cost beside these
+
 
 @cache
 def candidate_commands(cfg: LaserExploreConfig) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, "m 3"]]:
@@ -77,11 +96,11 @@ def steer(
     d = goal - ends[:, :2]
     distance = np.hypot(d[:, 0], d[:, 1])
     error = np.abs(wrap_angle(np.arctan2(d[:, 1], d[:, 0]) - ends[:, 2]))
-    error = error * np.minimum(1.0, distance / cfg.follower.heading_near)
+    error = error * np.minimum(1.0, distance / FOLLOW_HEADING_NEAR)
     tight = np.clip(cfg.roomy - clearance, 0.0, cfg.roomy)
     backwards = cfg.follower.reverse_cost * (commands[:, 0] < 0.0)
     cost = np.where(
-        free, distance + cfg.follower.heading_cost * error + cfg.follower.closeness_cost * tight + backwards, np.inf
+        free, distance + cfg.follower.heading_cost * error + FOLLOW_CLOSENESS_COST * tight + backwards, np.inf
     )
     return np.asarray(commands[np.argmin(cost)])
 
@@ -118,12 +137,12 @@ def resolve_conflicts(
         for k in ranked[a + 1 :]:
             if k in state.yielding or np.hypot(*(poses[i, :2] - poses[k, :2])) > rules.meeting:
                 continue
-            if not _in_way(state, poses, i, k, near, rules.next_way):
+            if not _in_way(state, poses, i, k, near, WAY_NEXT_WAY):
                 continue
             leaving = (
                 k in state.goals
-                and state.still[k] < rules.leaving_steps
-                and not _in_way(state, poses, k, i, near, rules.next_way)
+                and state.still[k] < WAY_LEAVING_STEPS
+                and not _in_way(state, poses, k, i, near, WAY_NEXT_WAY)
             )
             if not leaving and not _yield_to(state, poses, k, i, step, cfg) and i not in state.yielding:
                 state.priority[i], state.priority[k] = state.priority[k], state.priority[i]
@@ -142,7 +161,7 @@ def _yield_to(state: PlannerState, poses: np.ndarray, k: int, i: int, step: int,
     ground, route = state.ground, current_route(state, i)
     if ground is None or route is None:
         return False
-    way = np.vstack([poses[i : i + 1, :2], route.along(poses[i, :2], cfg.right_of_way.clear_way)])
+    way = np.vstack([poses[i : i + 1, :2], route.along(poses[i, :2], WAY_CLEAR_WAY)])
     near = 2 * cfg.radius + cfg.apart
     others = np.array([p[:2] for j, p in enumerate(poses) if j not in (i, k)]).reshape(-1, 2)
     weight = ground.weight.copy()
@@ -157,9 +176,7 @@ def _yield_to(state: PlannerState, poses: np.ndarray, k: int, i: int, step: int,
         return False
     best = cells[np.argmin(cost[tuple(cells.T)])]
     place = ground.grid.centres(best[None])[0]
-    state.yielding[k] = YieldPlace(
-        place, route_to(ground, place, poses[i : i + 1, :2], cfg), i, step + cfg.right_of_way.wait_steps
-    )
+    state.yielding[k] = YieldPlace(place, route_to(ground, place, poses[i : i + 1, :2], cfg), i, step + WAY_WAIT_STEPS)
     return True
 
 
@@ -168,24 +185,22 @@ def _end_waiting(state: PlannerState, poses: np.ndarray, live: np.ndarray, step:
     for k, waiting in list(state.yielding.items()):
         i = waiting.whom
         if i == k:
-            if step >= waiting.until or np.hypot(*(waiting.place - poses[k, :2])) < rules.retry_arrived:
+            if step >= waiting.until or np.hypot(*(waiting.place - poses[k, :2])) < WAY_RETRY_ARRIVED:
                 del state.yielding[k]
             continue
         gone = i not in live or np.hypot(*(poses[i, :2] - poses[k, :2])) > rules.parted * rules.meeting
-        passed = not _in_way(state, poses, i, k, near, rules.clear_way) and not _goal_blocked(
-            state, poses, k, i, near, cfg
-        )
+        passed = not _in_way(state, poses, i, k, near, WAY_CLEAR_WAY) and not _goal_blocked(state, poses, k, i, near)
         if gone or passed or step >= waiting.until:
             del state.yielding[k]
             if not gone and not passed and state.priority[k] > state.priority[i]:
                 state.priority[i], state.priority[k] = state.priority[k], state.priority[i]
 
 
-def _goal_blocked(state: PlannerState, poses: np.ndarray, k: int, i: int, near: float, cfg: LaserExploreConfig) -> bool:
+def _goal_blocked(state: PlannerState, poses: np.ndarray, k: int, i: int, near: float) -> bool:
     """Whether robot i stands on the next part of robot k's path to its goal."""
     if k not in state.goals:
         return False
-    way = state.goals[k].route.along(poses[k, :2], cfg.right_of_way.next_way)
+    way = state.goals[k].route.along(poses[k, :2], WAY_NEXT_WAY)
     return len(way) > 0 and float(np.hypot(*(way - poses[i, :2]).T).min()) < near
 
 
@@ -194,25 +209,20 @@ def _get_unstuck(state: PlannerState, poses: np.ndarray, live: np.ndarray, step:
 
     The lots are the same in the same run.
     """
-    ground, rules = state.ground, cfg.right_of_way
+    ground = state.ground
     for j in map(int, live):
-        if (
-            ground is None
-            or j not in state.goals
-            or j in state.yielding
-            or step - state.about[j, 2] < rules.stuck_steps
-        ):
+        if ground is None or j not in state.goals or j in state.yielding or step - state.about[j, 2] < WAY_STUCK_STEPS:
             continue
         rng = np.random.default_rng([step, j])
         state.about[j, 2] = step
         state.priority = rng.permutation(len(state.priority)).astype(float)
         metres = ground.cost_to_go(ground.cells(poses[j : j + 1, :2])).metres
-        around = (metres > rules.retry_from) & (metres < rules.retry_to)
+        around = (metres > WAY_RETRY_FROM) & (metres < WAY_RETRY_TO)
         cells = np.argwhere(around & (ground.weight == ground.weight[around].min(initial=255)))
         if len(cells):
             place = ground.grid.centres(rng.choice(cells)[None])[0]
             state.yielding[j] = YieldPlace(
-                place, route_to(ground, place, np.zeros((0, 2)), cfg), j, step + rules.retry_steps
+                place, route_to(ground, place, np.zeros((0, 2)), cfg), j, step + WAY_RETRY_STEPS
             )
 
 
@@ -262,7 +272,7 @@ def allocation_problem(
             np.isfinite(away), cfg.allocation.turn_cost * np.abs(wrap_angle(np.nan_to_num(away) - poses[j, 2])), 0.0
         )
     return AllocationProblem(
-        pieces, tuple(map(int, live)), first, metres[m:], poses[live], ground, _held(state, pieces, cfg)
+        pieces, tuple(map(int, live)), first, metres[m:], poses[live], ground, _held(state, pieces)
     )
 
 
@@ -295,12 +305,12 @@ def departures(costs: list[np.ndarray], cell: np.ndarray) -> Float[np.ndarray, "
     return np.where((here > 0) & (around[np.arange(len(costs)), best] < here), angle, np.nan)
 
 
-def _held(state: PlannerState, pieces: list[Frontier], cfg: LaserExploreConfig) -> dict[int, int]:
+def _held(state: PlannerState, pieces: list[Frontier]) -> dict[int, int]:
     """Robot -> what is left of the piece it heads for: the one with unknown cells nearest to its goal."""
     out: dict[int, int] = {}
     for j, goal in state.goals.items():
         away = [np.hypot(*(f.unknown - goal.place).T).min() for f in pieces]
-        if not goal.done and away and min(away) < cfg.allocation.same_piece:
+        if not goal.done and away and min(away) < SHARED_SAME_PIECE:
             out[j] = int(np.argmin(away))
     return out
 
@@ -321,7 +331,7 @@ def keep_commitments(problem: AllocationProblem, chosen: dict[int, int], cfg: La
             continue
         if n is not None:
             to = problem.first[row[j], n]
-            if to < far - cfg.keep or to + problem.between[n, h] < far + cfg.allocation.on_the_way:
+            if to < far - cfg.keep or to + problem.between[n, h] < far + SHARED_ON_THE_WAY:
                 continue
         out[j] = h
         if who is not None and n is not None:
@@ -360,7 +370,7 @@ def by_objective(w_accuracy: float) -> Allocator:
         out: dict[int, int] = {}
         taken: list[np.ndarray] = []
         for r, j in enumerate(problem.robots):
-            J = w_accuracy * walls + cfg.w_area * area - cfg.w_way * problem.first[r] / 20.0
+            J = w_accuracy * walls + cfg.w_area * area - PLAN_W_WAY * problem.first[r] / 20.0
             others = [*taken, *problem.poses[r + 1 :, :2]]
             if others:
                 d = np.array([[np.hypot(*(f.place - o)) for o in others] for f in problem.pieces])
@@ -442,7 +452,7 @@ def _tidy(
             goal.at = belief.step
         if (
             len(goal.unknown)
-            and (belief.grid.state[tuple(belief.grid.cells(goal.unknown).T)] >= 0).mean() >= cfg.goals.seen_share
+            and (belief.grid.state[tuple(belief.grid.cells(goal.unknown).T)] >= 0).mean() >= GOALS_SEEN_SHARE
         ):
             goal.done = True
         elif _in_vain(goal, belief.step, cfg):
@@ -454,13 +464,13 @@ def _in_vain(goal: Goal, step: int, cfg: LaserExploreConfig) -> bool:
     """Whether nothing new comes of standing at the goal, or the robot does not get there."""
     if goal.at is not None:
         return len(goal.unknown) > 0 and step - goal.at >= cfg.look
-    return step - goal.since > cfg.patience or step - goal.born > cfg.goals.patience_factor * cfg.patience
+    return step - goal.since > cfg.patience or step - goal.born > GOALS_PATIENCE_FACTOR * cfg.patience
 
 
 def _due(state: PlannerState, step: int, live: np.ndarray, cfg: LaserExploreConfig) -> bool:
     age = step - state.planned
     idle = any(j not in state.goals or state.goals[j].done for j in live)
-    return state.planned_for != tuple(live) or age >= cfg.replan_every or (idle and age >= cfg.replan_soonest)
+    return state.planned_for != tuple(live) or age >= cfg.replan_every or (idle and age >= PLAN_REPLAN_SOONEST)
 
 
 def _plan(
@@ -479,7 +489,7 @@ def _plan(
     state.ground, state.planned, state.planned_for = ground, belief.step, tuple(live)
     open_pieces = [f for f in frontiers(ground, cfg) if not state.barred(f.place, belief.step, cfg, waiting=False)]
     pieces = [f for f in open_pieces if not state.barred(f.place, belief.step, cfg)] or open_pieces
-    belief.memory["given_up"] = state.given_up(cfg)
+    belief.memory["given_up"] = state.given_up()
     belief.memory["pockets"] = pockets(ground, cfg)
     old = state.goals
     if pieces:
@@ -488,7 +498,7 @@ def _plan(
         stand = parked(state, poses, live)
         state.goals = {}
         for j, n in shared.items():
-            far = cfg.goals.spare_way + 2.0 * float(problem.first[problem.robots.index(j), n])
+            far = GOALS_SPARE_WAY + 2.0 * float(problem.first[problem.robots.index(j), n])
             route = route_to(ground, pieces[n].place, stand, cfg, far)
             state.goals[j] = _goal(
                 old.get(j), Goal(pieces[n].place, pieces[n].unknown, route, belief.step, belief.step), cfg
