@@ -18,11 +18,11 @@ from .api.slam import LandmarkSlam as LandmarkSlam
 from .api.laser_result import LaserResult as LaserResult
 from .api.slam import LaserSlam as LaserSlam
 from .api.live import live_map as live_map, live_robot as live_robot
-from .api.live_keys import live_keys as live_keys
+from .api.live import live_keys as live_keys
 from .api.live import LiveRobot as LiveRobot
 from .api.live import live_robots as live_robots
 from .api.live_ros2 import RosOptions as RosOptions
-from .api.live_view import live_view as live_view
+from .api.live import live_view as live_view
 from .api.result import load as load
 from .api.localize import LocalizeJobConfig as LocalizeJobConfig, LocalizeResult as LocalizeResult, localize as localize
 from .api.locate import LocateConfig as LocateConfig, locate as locate

@@ -12,8 +12,7 @@ from threading import Event, Thread
 
 import pytest
 
-from mapweave.api.live import INSECURE, live_map, live_robot
-from mapweave.api.live_keys import live_keys
+from mapweave.api.live import INSECURE, live_keys, live_map, live_robot
 from mapweave.api.simulate import simulate_landmarks
 from mapweave.cli import _run
 from mapweave.cli.live_door import FORGED, STRANGER, Denials, plain, reason_of

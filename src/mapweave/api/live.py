@@ -1,8 +1,10 @@
-"""A team that drives now: a robot's process and a map process, until they are done or told to stop."""
+"""A team that drives now: robots, the map and its page until they are done or told to stop; its certificates."""
 
+import datetime as dt
 import math
 import time
 import uuid
+import webbrowser
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
@@ -20,6 +22,7 @@ from ..core.paths import AnyConfig, path_arguments
 from ..core.version import __version__
 from ..core.workers import one_blas_thread
 from ..io.directory import check_target, write_json
+from ..live.credentials import make_team
 from ..live.inbox import Inbox
 from ..live.isolation import without_culprits
 from ..live.landmark_robot import LandmarkRobot
@@ -31,6 +34,7 @@ from ..live.sources import messages, open_source
 from ..live.store import Store
 from ..live.topics import Topics
 from ..live.transport import LISTENING, Network, is_open, session
+from ..live.view import Board, follow, served
 from ..mapping.config import LaserConfig
 from ..report.result import ResultBase
 from .laser_result import LaserResult, starts_among
@@ -481,3 +485,85 @@ def live_robots(
     if failed:
         raise failed[0]
     return [future.result() for future in driving]
+
+
+LOOKED = 1.0  # [s] from one look at what had no room to the next
+
+
+def live_view(
+    *,
+    port: int = 8642,
+    host: str = "127.0.0.1",
+    browser: bool = False,
+    network: Network | None = None,
+    stop: Event | None = None,
+    say: Say = print,
+) -> None:
+    """Serve the page of a team's shared map until `stop` is set: map, robots, who is there, decisions.
+
+    Parameters
+    ----------
+    port
+        Where the page stands (8642); 0 is any that is free.
+    host
+        The address it is served on (this machine alone).
+    browser
+        Open it in a browser.
+    network
+        How to reach the team (those on this network find each other).
+    stop
+        Ends it as soon as it is set.
+    say
+        Called with a line that names the address.
+    """
+    network = network or Network()
+    check_name(network.team, "--team")
+    board = Board()
+    with served(board, host, port) as address, session(network, lambda at: say(f"{LISTENING}{at}")) as opened:
+        held = follow(opened, Topics(network.team), board)
+        say(f"team {network.team}: {address}")
+        if browser:
+            webbrowser.open(address)
+        stop, told = stop or Event(), False
+        while not stop.wait(LOOKED):
+            if board.let_go and not told:
+                told = True
+                say("more maps, robots or squares are told than there is room for: the oldest are not shown")
+        del held
+
+
+LONGEST = 3650.0  # [days] what the authority itself serves
+
+
+@path_arguments
+def live_keys(
+    out: Path | str,
+    *,
+    robots: Sequence[str],
+    maps: Sequence[str] = ("map", "view"),
+    team: str = "team",
+    days: float = 365.0,
+) -> list[Path]:
+    """Make a certificate authority for a live team, and a certificate for each of its processes; returns their folders.
+
+    The authority stands in `out`, beside a folder a process with its certificate and the list of who may speak.
+    Called again, it keeps what is there and adds to it: copy every folder to its process anew then, since everybody's
+    list of names has grown.
+
+    Parameters
+    ----------
+    out
+        The folder of the authority.
+    robots
+        Names that may speak under themselves alone.
+    maps
+        Names of map processes and views, which may pass on what others say.
+    team
+        The team's name (team).
+    days
+        How long the certificates serve (365).
+    """
+    check_name(team, "--team")
+    if not (math.isfinite(days) and 0 < days <= LONGEST):
+        raise UsageError(f"--days: expected above 0 and at most {LONGEST:g}, found {days}")
+    return make_team(Path(out), team, list(robots), list(maps), days, dt.datetime.now(dt.UTC))

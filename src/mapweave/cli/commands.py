@@ -447,7 +447,7 @@ COMMANDS: dict[str, Command | dict[str, Command]] = {
             call=_live_map,
         ),
         "view": Command(
-            verb="api.live_view:live_view",
+            verb="api.live:live_view",
             does="Show the shared map in a browser: robots, who is there, what was decided. Ctrl-C ends it.",
             example="live view",
             options={"network": LINK},
@@ -462,7 +462,7 @@ COMMANDS: dict[str, Command | dict[str, Command]] = {
             said=_nothing,
         ),
         "keys": Command(
-            verb="api.live_keys:live_keys",
+            verb="api.live:live_keys",
             does="Make an authority for a team and a certificate for each of its processes; robots added later get "
             "theirs too.",
             example="live keys --out keys --robots r1,r2",
