@@ -224,7 +224,7 @@ def laser_scene(
     places: none is hidden, each is called by its number in `closures`.
     """
     hidden = [*([] if edited else [PLACES_BELIEVED]), *(others or {})]
-    scene = Scene("Laser map with the trajectories of its robots", hidden=hidden)
+    scene = Scene("Laser map with the trajectories of its robots", hidden, (PLACES_DOUBTFUL, PLACES_REFUSED))
     walls(scene, grid)
     for layer, shade in ((PLACES_BELIEVED, BELIEVED), (PLACES_DOUBTFUL, DOUBTFUL), (PLACES_REFUSED, REFUSED)):
         ids = [k for k, c in enumerate(closures) if _kind(c) == layer]

@@ -50,13 +50,14 @@ Shape = Literal["dot", "ring", "star", "cross", "triangle"]
 class Scene:
     """What is drawn in one frame [m], in layers that can be switched off; `label` says what it is to who cannot see.
 
-    hidden: layers that are off at first; the picture is as large as the others.
+    hidden: layers that are off at first; the picture is as large as the others. busy: layers that `draw` leaves out too.
     Later points stand on earlier ones; robots on all. axes: what the picture's corner says of its axes; clock: unit of
     the tracks' stamps. What is drawn black is drawn white on a dark page.
     """
 
     label: str
     hidden: list[str] = field(default_factory=list)
+    busy: Sequence[str] = ()
     axes: str = "x, y in m"
     clock: str = "s"
     _grid: dict[str, object] | None = None
@@ -198,7 +199,7 @@ class Scene:
     def draw(self, target: Target, *beside: "Scene", hidden: Sequence[str] | None = None) -> None:
         """The scene as a picture, at its last moment, and others beside it; hidden: in place of their own."""
         scenes = (self, *beside)
-        left = [s.hidden if hidden is None else hidden for s in scenes]
+        left = [[*s.hidden, *s.busy] if hidden is None else hidden for s in scenes]
         x0, x1, y0, y1 = self._extent(left[0])
         tall = float(np.clip((y1 - y0) / max(x1 - x0, 1e-9), 0.3, 1.1))
         wide = 8.4 if len(scenes) == 1 else 6.0
