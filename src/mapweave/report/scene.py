@@ -50,7 +50,7 @@ Shape = Literal["dot", "ring", "star", "cross", "triangle"]
 class Scene:
     """What is drawn in one frame [m], in layers that can be switched off; `label` says what it is to who cannot see.
 
-    hidden: layers that are off at first; the picture is as large as the others. busy: layers that `draw` leaves out too.
+    hidden: layers that are off at first; the picture is as large as the others. busy: those that `draw` leaves out too.
     Later points stand on earlier ones; robots on all. axes: what the picture's corner says of its axes; clock: unit of
     the tracks' stamps. What is drawn black is drawn white on a dark page.
     """
