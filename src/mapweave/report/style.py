@@ -113,13 +113,23 @@ def figure(path: Target, width: float = 7.0, height: float = 5.0, **layout: Any)
         FigureCanvasAgg(fig)
         axes = fig.subplots(**layout)
         yield fig, axes
-        _plain_log_ticks(fig)
-        _keep_names_apart(fig)
         if isinstance(path, Sheet):
+            _finish(fig)
             path.figure = fig
             return
         path.parent.mkdir(parents=True, exist_ok=True)
-        fig.savefig(path, dpi=DPI, metadata={"Software": None}, pil_kwargs={"optimize": True})
+        save(fig, path)
+
+
+def save(fig: Figure, path: Path) -> None:
+    """A figure in which all is drawn becomes a PNG without a program's name."""
+    _finish(fig)
+    fig.savefig(path, dpi=DPI, metadata={"Software": None})
+
+
+def _finish(fig: Figure) -> None:
+    _plain_log_ticks(fig)
+    _keep_names_apart(fig)
 
 
 def _plain_log_ticks(fig: Figure) -> None:
@@ -184,7 +194,7 @@ def png(draw: Callable[[Sheet], object], most: int) -> bytes:
         warnings.filterwarnings("ignore", GLYPH, UserWarning)
         while not data or (len(data) > most and dpi > 1.0):
             buffer = BytesIO()
-            sheet.savefig(buffer, dpi=dpi, metadata={"Software": None}, pil_kwargs={"optimize": True})
+            sheet.savefig(buffer, dpi=dpi, metadata={"Software": None})
             data, dpi = buffer.getvalue(), 0.7 * dpi
     return data
 
