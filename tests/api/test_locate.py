@@ -15,6 +15,8 @@ from mapweave.core.bearings import parse_angle
 from mapweave.core.errors import DataError, UsageError
 from mapweave.sim.swarm import SwarmScene
 
+pytestmark = pytest.mark.drawn
+
 # The paper's five robots: every neighbour is 10 m away.
 FIVE = {"1": (0.0, 0.0), "2": (10.0, 0.0), "3": (20.0, 0.0), "4": (5.0, 75**0.5), "5": (15.0, 75**0.5)}
 KEYS = [

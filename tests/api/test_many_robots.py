@@ -6,6 +6,8 @@ import pytest
 
 import mapweave
 
+pytestmark = pytest.mark.drawn
+
 
 @pytest.mark.slow
 def test_the_report_of_many_robots_is_drawn_without_complaint(tmp_path):

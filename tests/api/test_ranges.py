@@ -12,6 +12,8 @@ from mapweave.core import se2
 from mapweave.core.errors import UsageError
 from mapweave.io.pyfg import read_pyfg
 
+pytestmark = pytest.mark.drawn
+
 DATA = Path(os.environ.get("MAPWEAVE_DATA", "/nowhere")) / "uwb"
 
 

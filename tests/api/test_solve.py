@@ -13,6 +13,8 @@ from mapweave.core.errors import ReaderError
 from mapweave.io.g2o import read_g2o, read_g2o_file
 from mapweave.io.tum import read_tum
 
+pytestmark = pytest.mark.drawn
+
 INFORMATION = "400 0 0 400 0 2500"
 
 

@@ -10,6 +10,8 @@ import pytest
 
 from mapweave.cli import main
 
+pytestmark = pytest.mark.drawn
+
 
 def run(*words):
     """Exit status, stdout and stderr of the command line, in this process."""

@@ -18,6 +18,8 @@ from mapweave.landmarks.mapping import local_map, without_impossible
 
 from .robot_worlds import drive
 
+pytestmark = pytest.mark.drawn
+
 BLIND = EkfSlamConfig(most_speed=1e308, most_turn=1e308, most_range=1e308, most_bearing=1e308)
 
 
