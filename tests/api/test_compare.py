@@ -12,7 +12,9 @@ from mapweave.core.errors import DataError, UsageError
 from mapweave.io.ros_map import read_ros_map
 from mapweave.sim.laser import DriveConfig, WallStyle, WorldBuilder, drive, through
 
-from ..laser.team_logs import cut, office
+from ..laser.team_logs import office
+
+pytestmark = pytest.mark.usefixtures("_remembered")
 
 PUT, TAKEN = (2.6, 6.0, 0.7, 0.5), (7.4, 1.0, 0.5, 0.6)  # x, y, wide, deep [m]
 WAY = [(2.0, 2.0), (9.0, 2.0), (9.0, 7.0), (5.0, 7.0), (5.0, 2.0), (2.4, 2.0)]
@@ -79,18 +81,15 @@ def test_maps_of_different_places_are_refused_with_the_reason(hall):
 
 
 @pytest.mark.slow
-def test_of_two_runs_over_the_same_logs_the_decisions_that_differ_are_told(tmp_path):
-    log, _ = office(3)
-    n = len(log.scans)
-    logs = [cut(log, 0, int(0.62 * n)), cut(log, int(0.38 * n), n, "2", 3600.0)]
-    free = mapweave.map(logs, tmp_path / "free")
-    told = mapweave.map(logs, decisions={"pairs": [{"a": "1", "b": "2", "decision": "apart"}]})
-    made = mapweave.compare(tmp_path / "free", told, tmp_path / "out")
+def test_of_two_runs_over_the_same_logs_the_decisions_that_differ_are_told(office_logs, office_map, tmp_path):
+    free, folder = office_map
+    told = mapweave.map(office_logs[0], decisions={"pairs": [{"a": "1", "b": "2", "decision": "apart"}]})
+    made = mapweave.compare(folder, told, tmp_path / "out")
     first = made.decisions[0]
     assert first[:3] == ("robot1 and robot2", "one map", "apart")
     assert first[4].startswith("said to be apart")
     assert made.changes == ()
-    assert mapweave.compare(free, tmp_path / "free").decisions == ()
+    assert mapweave.compare(free, folder).decisions == ()
     assert mapweave.load(tmp_path / "out", mapweave.Comparison).decisions == made.decisions
 
 

@@ -13,20 +13,17 @@ from mapweave.io.decisions import decisions_of
 
 from ..laser.team_logs import cut, office
 
-HOUR = 3600.0
+pytestmark = pytest.mark.usefixtures("_remembered")
 
 
 @pytest.fixture(scope="module")
-def logs():
-    log, _ = office(3)
-    n = len(log.scans)
-    return [cut(log, 0, int(0.62 * n)), cut(log, int(0.38 * n), n, "2", HOUR)]
+def logs(office_logs):
+    return office_logs[0]
 
 
 @pytest.fixture(scope="module")
-def made(logs, tmp_path_factory):
-    out = tmp_path_factory.mktemp("decided") / "out"
-    return mapweave.map(logs, out), out
+def made(office_map):
+    return office_map
 
 
 def text(made):

@@ -1,6 +1,7 @@
 """`edit`: what a browser posts is decided, solved, undone and saved, and `map` makes the same of what was saved."""
 
 import json
+import shutil
 import threading
 import urllib.error
 import urllib.request
@@ -14,24 +15,20 @@ from mapweave.api.view import Editor
 from mapweave.core import se2
 from mapweave.core.errors import UsageError
 
-from ..laser.team_logs import cut, office
+pytestmark = pytest.mark.usefixtures("_remembered")
 
-HOUR = 3600.0
 OFF = [0.5, -0.4, 0.03]  # [m, m, rad] from where the scans have it
 
 
 @pytest.fixture(scope="module")
-def logs():
-    log, _ = office(3)
-    n = len(log.scans)
-    return [cut(log, 0, int(0.62 * n)), cut(log, int(0.38 * n), n, "2", HOUR)]
+def logs(office_logs):
+    return office_logs[0]
 
 
 @pytest.fixture(scope="module")
-def team(logs, tmp_path_factory):
-    out = tmp_path_factory.mktemp("edited") / "out"
-    mapweave.map(logs, out)
-    return out
+def team(office_map, tmp_path_factory):
+    """A copy: whoever edits may write into it."""
+    return shutil.copytree(office_map[1], tmp_path_factory.mktemp("edited") / "out")
 
 
 @contextmanager

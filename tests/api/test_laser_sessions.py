@@ -17,21 +17,21 @@ from mapweave.io.npz import read_arrays, write_arrays
 
 from ..laser.team_logs import cut, office
 
-
-@pytest.fixture(scope="module")
-def logs():
-    log, _ = office(3)
-    n = len(log.scans)
-    return cut(log, 0, int(0.62 * n)), cut(log, int(0.38 * n), n, "2")
+pytestmark = pytest.mark.usefixtures("_remembered")
 
 
 @pytest.fixture(scope="module")
-def sessions(logs, tmp_path_factory):
+def logs(office_logs):
+    return office_logs[0]
+
+
+@pytest.fixture(scope="module")
+def sessions(logs, office_map, tmp_path_factory):
     """One run of both logs; a run of the first and another that goes on with the second."""
     folder = tmp_path_factory.mktemp("sessions")
-    mapweave.map(list(logs), folder / "one", seed=4)
-    mapweave.map([logs[0]], folder / "first", method="graph", seed=4)
-    mapweave.map([logs[1]], folder / "both", laser=LaserOptions(resume=folder / "first"), seed=4)
+    (folder / "one").symlink_to(office_map[1])
+    mapweave.map([logs[0]], folder / "first", method="graph")
+    mapweave.map([logs[1]], folder / "both", laser=LaserOptions(resume=folder / "first"))
     return folder
 
 
@@ -60,8 +60,8 @@ def stopped_after(log, n):
 @pytest.mark.slow
 def test_a_log_that_was_cut_goes_on_as_the_same_robot_with_the_bytes_of_one_run(logs, sessions, tmp_path):
     n = int(np.random.default_rng(7).integers(20, len(logs[0].scans) - 5))
-    mapweave.map([stopped_after(logs[0], n), logs[1]], tmp_path / "stopped", seed=4)
-    result = mapweave.map([logs[0]], tmp_path / "on", laser=LaserOptions(resume=tmp_path / "stopped"), seed=4)
+    mapweave.map([stopped_after(logs[0], n), logs[1]], tmp_path / "stopped")
+    result = mapweave.map([logs[0]], tmp_path / "on", laser=LaserOptions(resume=tmp_path / "stopped"))
     assert f"robot1: its log goes on, from scan {n + 1} to {len(logs[0].scans)}" in result.lines()
     one, on = written(sessions / "one"), written(tmp_path / "on")
     assert one[1] == on[1]
@@ -205,7 +205,7 @@ def test_only_the_graph_method_goes_on(sessions, logs):
 
 @pytest.mark.slow
 def test_finished_results_are_fused_by_the_same_decision_as_one_run(sessions, logs, tmp_path):
-    mapweave.map([logs[1]], tmp_path / "second", method="graph", seed=4)
+    mapweave.map([logs[1]], tmp_path / "second", method="graph")
     fused = mapweave.fuse([sessions / "first", tmp_path / "second"], tmp_path / "fused")
     assert fused.metrics["components"] == [["first/robot1", "second/robot1"]]
     one = json.loads((sessions / "one" / "metrics.json").read_text())["fusion"][0]

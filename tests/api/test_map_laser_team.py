@@ -19,34 +19,26 @@ from mapweave.io.laser_map import read_grid
 from mapweave.io.mcap import write_mcap
 from mapweave.io.robot_graph import read_robot_graph
 from mapweave.io.table import read_table
-from mapweave.io.tum import read_tum, write_tum
+from mapweave.io.tum import read_tum
 
 from ..laser.team_logs import cut, dark, office, part_of
+
+pytestmark = pytest.mark.usefixtures("_remembered")
 
 HOUR = 3600.0
 
 
 @pytest.fixture(scope="module")
-def team(tmp_path_factory):
-    """Two logs of one floor, the second by a clock an hour off, and the files of their truth."""
-    log, truth = office(3)
-    n = len(log.scans)
-    logs = [cut(log, 0, int(0.62 * n)), cut(log, int(0.38 * n), n, "2", HOUR)]
-    folder = tmp_path_factory.mktemp("truth")
-    paths = [folder / f"robot{k}.tum" for k in (1, 2)]
-    for path, part, clock in zip(paths, logs, (0.0, HOUR), strict=True):
-        write_tum(path, part_of(truth, part, clock))
-    return logs, paths
+def team(office_logs):
+    return office_logs
 
 
 @pytest.fixture(scope="module")
-def woven(team, tmp_path_factory):
-    logs, truth = team
-    out = tmp_path_factory.mktemp("woven") / "out"
-    return mapweave.map(logs, out, truth=truth), out
+def woven(office_map):
+    return office_map
 
 
-def test_robots_that_saw_the_same_walls_are_in_one_map_whatever_their_clocks(woven):
+def test_robots_that_saw_the_same_walls_are_in_one_map_whatever_their_clocks(woven, office_truth):
     result, out = woven
     told = json.loads((out / "metrics.json").read_text())
     assert told["components"] == [["1", "2"]]
@@ -56,8 +48,7 @@ def test_robots_that_saw_the_same_walls_are_in_one_map_whatever_their_clocks(wov
     assert row["agreeing"] >= 4
     assert f"merged on {row['agreeing']} closures" in row["reason"]
     assert {told["robots"][k]["method"] for k in "12"} == {"graph"}
-    scores = told["evaluation"]["robots"]
-    assert [scores[k]["component"] for k in "12"] == [1, 1]
+    scores = mapweave.evaluate(result, office_truth).as_json()["robots"]
     assert max(scores[k]["ate"] for k in "12") < 0.25
     assert any("robot1 and robot2 in one map" in line for line in result.lines())
 
@@ -65,7 +56,7 @@ def test_robots_that_saw_the_same_walls_are_in_one_map_whatever_their_clocks(wov
 def test_a_log_that_ends_amid_a_loop_is_closed_by_the_robot_that_went_on(woven, team):
     result, _ = woven
     _, truth = team
-    first, second = (read_tum(path) for path in truth)
+    first, second = truth
     assert np.hypot(*(first.pose[-1] - first.pose[0])[:2]) > 2.0
     made = result.components[0]
     ends = [made.tracks["1"].pose[0], made.tracks["2"].pose[-1]]
@@ -143,10 +134,13 @@ def test_a_robot_is_followed_through_the_parts_of_the_map_that_two_robots_saw(wo
 
 
 @pytest.mark.slow
-def test_robots_that_are_not_to_be_merged_stand_each_in_a_component(team, tmp_path):
+def test_robots_that_are_not_to_be_merged_stand_each_in_a_component(team, office_truth, tmp_path):
     logs, _ = team
-    out = tmp_path / "out"
-    alone = mapweave.map(logs, out, laser=LaserOptions(no_merge=True, no_loops=True), share={"1": 0.3, "2": 0.3})
+    out, apart = tmp_path / "out", LaserOptions(no_merge=True, no_loops=True)
+    alone = mapweave.map(logs, out, truth=office_truth, laser=apart, share={"1": 0.3, "2": 0.3})
+    scores = json.loads((out / "metrics.json").read_text())["evaluation"]["robots"]
+    assert [scores[k]["component"] for k in "12"] == [1, 2]
+    assert max(scores[k]["ate"] for k in "12") < 0.25
     assert alone.metrics["components"] == [["1"], ["2"]]
     assert alone.metrics["fusion"] == []
     for part, k in ((out, 1), (out / "components" / "2", 2)):
