@@ -30,7 +30,7 @@ def ratios(outliers, draws, **scene):
     [(0.05, 1.25), *(pytest.param(*p, marks=pytest.mark.slow) for p in [(0.1, 1.25), (0.2, 1.6)])],
 )
 def test_mutual_sightings_carry_outliers_at_little_cost(outliers, limit):
-    assert np.median(ratios(outliers, 15, visibility="mutual")) <= limit
+    assert np.median(ratios(outliers, 9, visibility="mutual")) <= limit
 
 
 def test_without_outliers_robust_costs_nothing_and_calls_almost_nothing_wrong():
@@ -84,7 +84,7 @@ def test_outliers_in_space_are_found():
 @pytest.mark.parametrize("anchors", [(0, 99), "corners"])
 def test_single_sightings_with_few_outliers_are_located_right_or_said_to_be_unsure(anchors):
     sure = 0
-    for seed in range(16):
+    for seed in range(10):
         net, truth = simulated(seed, robots=100, sigma=1.0, visibility="single", outliers=0.05, anchors=anchors)
         clean, _ = simulated(seed, robots=100, sigma=1.0, visibility="single", anchors=anchors)
         estimate, best = locate(net, ROBUST), locate(clean, initial=truth)
@@ -96,7 +96,7 @@ def test_single_sightings_with_few_outliers_are_located_right_or_said_to_be_unsu
             assert np.sqrt((error / np.trace(estimate.cov[free], axis1=1, axis2=2)).max()) < 5.0
         else:
             assert estimate.warnings
-    assert sure >= 10
+    assert sure >= 6
 
 
 @pytest.mark.parametrize("dim", [2, 3])

@@ -135,7 +135,7 @@ def test_gross_outliers_are_left_out_when_asked_for():
 
 @pytest.mark.slow
 def test_moving_robots_are_judged_as_standing_ones_are(monkeypatch):
-    swarm, known = made(0, robots=16, steps=6, outliers=0.05)
+    swarm, known = made(0, robots=9, steps=5, outliers=0.05)
     anchors = {swarm.table.ids[k]: p for k, p in known.items()}
     usual = mapweave.locate(swarm.table, anchors=anchors, method="robust")
     assert usual.reliable, usual.warnings
