@@ -48,9 +48,9 @@ def test_the_version_is_one_line():
 @pytest.mark.slow
 @pytest.mark.parametrize("end", ["<&-", "</dev/null"])
 def test_a_closed_stdin_is_no_trouble(end):
-    done = shell(f"{SHELL} config map {end}")
+    done = shell(f"{SHELL} config explore {end}")
     assert (done.returncode, done.stderr) == (0, "")
-    assert "[ekf]" in done.stdout
+    assert "[mission]" in done.stdout
 
 
 @pytest.mark.slow
@@ -64,7 +64,7 @@ def test_a_reader_that_stops_after_one_line_ends_it_silently():
 
 @pytest.mark.slow
 def test_a_closed_stdout_ends_silently():
-    assert shell(f"{SHELL} config map >&-").stderr == ""
+    assert shell(f"{SHELL} config explore >&-").stderr == ""
 
 
 @pytest.mark.parametrize(
@@ -79,7 +79,7 @@ def test_a_job_is_done_whatever_its_caller_closed(end, tmp_path):
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
 def test_a_full_disk_behind_stdout_is_told_in_one_line():
-    done = shell(f"{SHELL} config map > /dev/full")
+    done = shell(f"{SHELL} config explore > /dev/full")
     assert done.returncode == 1
     assert done.stderr.startswith("mapweave: stdout: No space left")
     assert done.stderr.count("\n") == 1
