@@ -212,13 +212,8 @@ def test_a_laser_result_in_memory_is_scored_and_followed_as_its_folder(tmp_path)
 
 @pytest.mark.slow
 def test_laser_results_in_memory_are_fused_to_the_same_bytes_as_their_folders(tmp_path):
-    for k in (1, 2):
-        drive = mapweave.simulate_laser(world=mapweave.CorridorConfig(distance=14.0), seed=k)
-        mapweave.map(drive.log, tmp_path / f"result{k}", method="graph")
-    results = [
-        mapweave.map(mapweave.simulate_laser(world=mapweave.CorridorConfig(distance=14.0), seed=k).log, method="graph")
-        for k in (1, 2)
-    ]
+    drives = [mapweave.simulate_laser(world=mapweave.CorridorConfig(distance=14.0), seed=k) for k in (1, 2)]
+    results = [mapweave.map(drive.log, tmp_path / f"result{k}", method="graph") for k, drive in enumerate(drives, 1)]
     mapweave.fuse([tmp_path / "result1", tmp_path / "result2"], tmp_path / "folders")
     mapweave.fuse(results, tmp_path / "memory")
     assert files(tmp_path / "memory") == files(tmp_path / "folders")
