@@ -62,6 +62,7 @@ TABLES = (
         "page",
     ),
     Table("live", "docs/live.md", bench("live", "--out", "docs/images"), "stdout"),
+    Table("live explore", "docs/live.md", bench("live_explore"), "stdout"),
     Table("live ties", "docs/live.md", bench("live_passes", "--table", "--seconds", "60"), "stdout"),
     Table("live laps", "docs/live.md", bench("live_laps"), "stdout"),
     Table(

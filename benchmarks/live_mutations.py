@@ -29,6 +29,7 @@ from mapweave.live.laser_robot import LaserRobot
 from mapweave.live.laser_stream import messages_of_laser
 from mapweave.live.messages import (
     Correction,
+    GoalMessage,
     MapState,
     Message,
     Numbered,
@@ -41,6 +42,7 @@ from mapweave.live.messages import (
 from mapweave.live.shared_map import SharedMap
 from mapweave.live.store import Store
 from mapweave.live.tiles import SIDE, pack
+from mapweave.live.told import LiveTeam
 from mapweave.live.view import Board
 from mapweave.mapping.config import LaserConfig
 from mapweave.sim.laser_worlds import CorridorConfig
@@ -106,6 +108,8 @@ def beside(told: dict[str, list[Numbered]]) -> list[Message]:
         if snapshot is not None:
             out.append(snapshot)
         out.append(Correction(map="map", robot=name, pose=(0.0, 0.0, 0.0), cov=(0.0,) * 6, scale=1.0))
+        goal = {"component": 1, "number": 1, "pose": (1.0, 2.0, 0.0)}
+        out.append(GoalMessage(map="explore", of="map", robot=name, **goal))
     robots = [
         RobotState(robot=name, run=messages[0].run, log_robot="", sensor="", there=True, finished=False, have=3, last=9,
                    rate=1.0, pose=(0.0, 0.0, 0.0), cov=(1.0, 0.0, 0.0, 1.0, 0.0, 1.0), frame=(0.0, 0.0, 0.0))
@@ -187,7 +191,7 @@ def told_among_mutations(sensor: str, n: int, seed: int = 0) -> Told:
     logs = team(sensor)
     numbered = histories(logs)
     told = {name: [encode(m) for m in messages] for name, messages in numbered.items()}
-    out, board, shared = Told(), Board(), SharedMap()
+    out, board, known, shared = Told(), Board(), LiveTeam(), SharedMap()
     begin = time.monotonic()
     with tempfile.TemporaryDirectory() as folder, Store(Path(folder, "s.sqlite"), "a map") as store:
         inbox = Inbox(store)
@@ -199,7 +203,7 @@ def told_among_mutations(sensor: str, n: int, seed: int = 0) -> Told:
             out.messages += 1
             inbox.offer(speaker, payload, now)
             if not honest:
-                _seen_by_others(payload, board, inbox, now)
+                _seen_by_others(payload, board, known, inbox, now)
             if out.messages % DECIDED_EVERY == 0:
                 inbox.save()
                 out.asked += _decided(inbox, told, now)
@@ -225,7 +229,7 @@ def told_among_mutations(sensor: str, n: int, seed: int = 0) -> Told:
     return out
 
 
-def _seen_by_others(payload: bytes, board: Board, inbox: Inbox, now: float) -> None:
+def _seen_by_others(payload: bytes, board: Board, team: LiveTeam, inbox: Inbox, now: float) -> None:
     """Robots, views and other map processes read it too."""
     try:
         message = decode(payload)
@@ -233,9 +237,15 @@ def _seen_by_others(payload: bytes, board: Board, inbox: Inbox, now: float) -> N
         return
     if isinstance(message, MapState):
         board.take(message)
+        team.take(message)
         inbox.hearsay(message.robots, now)
     elif isinstance(message, Tile):
         board.take_tile(message)
+        team.take_tile(message)
+    elif isinstance(message, GoalMessage):
+        team.take_goal(message)
+    for robot in team.robots().values():
+        team.goal(robot.name)
 
 
 def _decided(inbox: Inbox, told: dict[str, list[bytes]], now: float) -> int:

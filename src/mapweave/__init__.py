@@ -19,12 +19,13 @@ Verbs, each with its options in `help(mapweave.map)` and so on:
     explore                 robots that decide where to drive
     solve_pose_graph, solve_ranges     a pose graph from anywhere; robots and beacons placed by ranges
     live_robot, live_robots, live_map, live_view, live_keys     a team that drives now
+    live_follow, live_explore     what such a team knows, told a program; where its robots are to drive
     simulate_landmarks, simulate_laser, simulate_team, simulate_swarm     logs with their truth
     reproduce_kojima, reproduce_hamatani, reproduce_hara, reproduce_yuan     the experiments of four papers
     configuration, demo, doctor     all settings; a first result; a check of the installation
 
-`LandmarkSlam` and `LaserSlam` map one robot while it drives. The other names are the results that verbs give, their
-options and settings, and the errors they raise. A name is imported when it is first used.
+`LandmarkSlam` and `LaserSlam` map one robot while it drives; `LiveLaser` is one of a live team. The other names are the
+results that verbs give, their options and settings, and the errors they raise. Each is imported when it is first used.
 """
 
 import re

@@ -18,7 +18,10 @@ from .api.slam import LandmarkSlam as LandmarkSlam
 from .api.laser_result import LaserResult as LaserResult
 from .api.slam import LaserSlam as LaserSlam
 from .api.live import live_map as live_map, live_robot as live_robot
+from .api.live_explore import live_explore as live_explore
+from .api.live_follow import live_follow as live_follow
 from .api.live import live_keys as live_keys
+from .api.live_laser import LiveLaser as LiveLaser, LivePlace as LivePlace
 from .api.live import LiveRobot as LiveRobot
 from .api.live import live_robots as live_robots
 from .api.live_ros2 import RosOptions as RosOptions
@@ -64,6 +67,7 @@ from .fusion.config import FuseConfig as FuseConfig
 from .landmarks.config import EkfSlamConfig as EkfSlamConfig
 from .laser.pose_graph import PoseGraph as PoseGraph
 from .laser.scan_odometry import PoseEstimate as PoseEstimate
+from .live.told import LiveTeam as LiveTeam, TeamGoal as TeamGoal, TeamGrid as TeamGrid, TeamRobot as TeamRobot
 from .live.transport import Network as Network
 from .mapping.config import LaserConfig as LaserConfig
 from .papers.hamatani.reproduce import (

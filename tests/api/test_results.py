@@ -307,9 +307,18 @@ def test_no_folder_of_a_result_and_a_result_of_another_kind_are_refused(home, tm
 
 
 FACE = {"metrics", "summary", "write", "plot", "_repr_html_"}
-NO_RESULT = {"configuration", "edit", "live_keys", "live_view", "read", "view"}  # text, a log, nothing
+NO_RESULT = {
+    "configuration",
+    "edit",
+    "live_explore",
+    "live_follow",
+    "live_keys",
+    "live_view",
+    "read",
+    "view",
+}  # text, a log, nothing
 PROTOCOLS = {mapweave.Result, mapweave.MapResult, mapweave.Evaluation}
-NONE = {mapweave.Log}  # what verbs give that is no result
+NONE = {mapweave.Log, mapweave.LiveTeam}  # what verbs give that is no result
 
 
 def given_by(annotation):

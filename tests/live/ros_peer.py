@@ -18,6 +18,7 @@ HASHES = {  # as ROS 2 prints them for these definitions
     "nav_msgs/msg/Odometry": "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0",
     "tf2_msgs/msg/TFMessage": "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087",
     "nav_msgs/msg/OccupancyGrid": "RIHS01_8d348150c12913a31ee0ec170fbf25089e4745d17035792a1ba94d6f0bc0cfc7",
+    "geometry_msgs/msg/PoseStamped": "RIHS01_10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8",
     "geometry_msgs/msg/PoseWithCovarianceStamped": (
         "RIHS01_26432f9803e43727d3c8f668d1fdb3c630f548af631e2f4e31382371bfea3b6e"
     ),
@@ -107,6 +108,14 @@ def read_pose(data):
     t, frame = r.head()
     x, y, _, _, _, z, w = r.get("d", 7)
     return t, frame, (x, y, 2 * math.atan2(z, w)), r.get("d", 36)
+
+
+def read_goal(data):
+    """Stamp, frame, (x, y, theta)."""
+    r = Reader(data)
+    t, frame = r.head()
+    x, y, _, _, _, z, w = r.get("d", 7)
+    return t, frame, (x, y, 2 * math.atan2(z, w))
 
 
 def read_grid(data):

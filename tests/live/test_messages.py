@@ -18,6 +18,7 @@ from mapweave.live.messages import (
     PROTOCOL,
     Closed,
     Correction,
+    GoalMessage,
     Header,
     MapState,
     RefusedError,
@@ -157,7 +158,7 @@ def test_rows_that_contradict_what_was_told_before_are_refused(rows, told):
     assert not record.parts
 
 
-@pytest.mark.parametrize("message", [Header, Rows, Scans, Status, Snapshot, Correction, MapState, Tile])
+@pytest.mark.parametrize("message", [Header, Rows, Scans, Status, Snapshot, Correction, GoalMessage, MapState, Tile])
 def test_the_page_of_the_protocol_names_every_field_and_which_may_be_left_out(message):
     row = re.search(rf"^\| `{message.__struct_config__.tag}` \| (.*) \|$", PAGE, re.MULTILINE).group(1)
     every = msgspec.structs.fields(message)

@@ -13,9 +13,11 @@ from mapweave.core.errors import UsageError
 from mapweave.live.door import decode
 from mapweave.live.laser_robot import LaserRobot
 from mapweave.live.laser_stream import LaserRecord, whole_log
-from mapweave.live.messages import Closed
+from mapweave.live.messages import Closed, GoalMessage, encode
 from mapweave.live.store import Store
-from mapweave.live.transport import Network
+from mapweave.live.topics import Topics
+from mapweave.live.transport import Network, put, told_on
+from mapweave.live.transport import session as transport_session
 from mapweave.mapping.config import LaserConfig
 from mapweave.sim.laser import DriveConfig
 from mapweave.sim.laser_worlds import CorridorConfig, simulate_corridor
@@ -26,6 +28,7 @@ from .ros_peer import (
     Node,
     RosDrive,
     open_session,
+    read_goal,
     read_grid,
     read_pose,
     read_transforms,
@@ -35,6 +38,7 @@ from .ros_peer import (
 
 MOUNT = (0.2, 0.05, 0.3)
 SCAN, GRID = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/OccupancyGrid"
+GOAL = "geometry_msgs/msg/PoseStamped"
 POSE, TF = "geometry_msgs/msg/PoseWithCovarianceStamped", "tf2_msgs/msg/TFMessage"
 
 
@@ -144,7 +148,7 @@ def test_two_ros_robots_make_one_map_and_the_graph_gets_maps_poses_and_transform
     rviz.hear("/tf", TF)
     fleet.start("map", "map", "--out", "out-map", "--robots", "r1,r2", "--connect", at)
     fleet.hears("map", "heard so far")
-    joins(fleet, "r1", "--pattern", "tb1")
+    joins(fleet, "r1", "--pattern", "tb1", "--team-map", "--goals")
     joins(fleet, "r2", "--pattern", "*2")
     fleet.hears("r1", "hears /tb1/scan, odometry from /tb1/odom")
     fleet.hears("r2", "hears /tb2/scan, odometry from tf")
@@ -158,6 +162,7 @@ def test_two_ros_robots_make_one_map_and_the_graph_gets_maps_poses_and_transform
     rviz.hear("/tb1/map", GRID, latched=True)  # told before: kept for those that come late
     wait_for(lambda: rviz.heard["/tb1/map"])
     wait_for(lambda: {edge[2] for edge in shared_edges(rviz)} == {"tb1/map", "tb2/map"})
+    _hears_of_the_team(rviz, at)
     tokens = rviz.graph()
     for name in ("r1", "r2"):
         fleet.interrupt(name)
@@ -173,6 +178,29 @@ def test_two_ros_robots_make_one_map_and_the_graph_gets_maps_poses_and_transform
     _the_map_is_made_of_the_histories(fleet, made)
     _is_in_the_graph(tokens)
     _shows_poses_and_transforms(rviz, made["tb1"], fleet.folder / "mapweave-live/team-r1.sqlite")
+
+
+def _hears_of_the_team(rviz, at):
+    """The team's map in its frame, kept for those that come late, and a goal once, however often it is told."""
+    rviz.hear("/tb1/team_map", GRID, latched=True)
+    rviz.hear("/tb1/goal_pose", GOAL)
+    wait_for(lambda: rviz.heard["/tb1/team_map"])
+    frame, resolution, _, _, cells = read_grid(rviz.heard["/tb1/team_map"][-1][0])
+    assert frame.startswith("team_map")
+    assert round(resolution, 6) == 0.1
+    assert set(cells) == {-1, 0, 100}
+    topics = Topics("team")
+    with transport_session(told_on(Network(connect=(at,)))) as opened:
+        for number in (1, 1, 1, 2, 2, 2):
+            where = {"component": 1, "number": number, "pose": (float(number), -0.5, 0.25)}
+            put(opened, topics.goal("r1", "planner"), encode(GoalMessage(map="planner", of="map", robot="r1", **where)))
+            time.sleep(0.5)
+        wait_for(lambda: len(rviz.heard["/tb1/goal_pose"]) == 2)
+    goals = [read_goal(data) for data, _ in rviz.heard["/tb1/goal_pose"]]
+    assert [(frame, *np.round(pose, 6)) for _, frame, pose in goals] == [
+        ("team_map", 1.0, -0.5, 0.25),
+        ("team_map", 2.0, -0.5, 0.25),
+    ]
 
 
 def _the_map_is_made_of_the_histories(fleet, made):

@@ -19,7 +19,8 @@ from mapweave.core.errors import UsageError
 from mapweave.io.web import is_named
 from mapweave.live.messages import LandmarkState, MapState, RobotState, Tile
 from mapweave.live.tiles import SIDE, pack
-from mapweave.live.view import KEPT_FRAMES, MOST_MAPS, MOST_TRAILS, PAGE, Board, served
+from mapweave.live.told import MOST_MAPS
+from mapweave.live.view import KEPT_FRAMES, MOST_TRAILS, PAGE, Board, served
 from mapweave.report.html import Page
 from mapweave.report.style import PALETTE
 
@@ -239,7 +240,7 @@ def test_a_reader_that_is_far_behind_gets_everything(monkeypatch):
 
 
 def test_invented_maps_robots_and_squares_take_no_more_than_their_room(monkeypatch):
-    monkeypatch.setattr("mapweave.live.view.MOST_TILE_BYTES", 100_000)
+    monkeypatch.setattr("mapweave.live.told.MOST_TILE_BYTES", 100_000)
     board = Board()
     for k in range(40):
         board.take(state(20, name=f"map{k}"))
@@ -249,7 +250,7 @@ def test_invented_maps_robots_and_squares_take_no_more_than_their_room(monkeypat
     assert len(board.states) == MOST_MAPS
     assert "map39" in board.states
     assert len(board._trails) == MOST_TRAILS
-    assert board._tile_bytes <= 100_000
+    assert board._squares._size <= 100_000
     assert board.let_go > 0
 
 

@@ -3,7 +3,6 @@
 import datetime as dt
 import math
 import time
-import uuid
 import webbrowser
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
@@ -31,10 +30,11 @@ from ..live.map_process import MapProcess
 from ..live.messages import Header, check_name
 from ..live.robot import Pace, RobotProcess
 from ..live.sources import messages, open_source
-from ..live.store import Store
+from ..live.store import Store, begun
+from ..live.told import follow
 from ..live.topics import Topics
-from ..live.transport import LISTENING, Network, is_open, session
-from ..live.view import Board, follow, served
+from ..live.transport import LISTENING, Network, is_open, session, told_on
+from ..live.view import Board, served
 from ..mapping.config import LaserConfig
 from ..report.result import ResultBase
 from .laser_result import LaserResult, starts_among
@@ -177,17 +177,18 @@ def live_robot(
         with Store(path, f"robot {name} of team {network.team}") as store:
             if fresh:
                 store.clear()
-            run = _begun(store, "laser", period)
+            run = begun(store, "laser", period)
             options = ros or RosOptions()
             sent, heard = drive_ros2(name, options, store, run, period, linger, config, network, stop, say, wall)
             return LiveRobot(name, sent, heard, path, store.sizes(name))
     if ros is not None:
-        raise UsageError(f"--domain, --pattern, --graph, --sensor-pose, --all-scanners: of --source {ROS2} alone")
+        words = "--domain, --pattern, --graph, --sensor-pose, --all-scanners, --team-map, --goals"
+        raise UsageError(f"{words}: of --source {ROS2} alone")
     log = open_source(str(source), name, robot, seed)
     with Store(path, f"robot {name} of team {network.team}") as store:
         if fresh:
             store.clear()
-        run = _begun(store, "laser" if isinstance(log, LaserLog) else "landmarks", period)
+        run = begun(store, "laser" if isinstance(log, LaserLog) else "landmarks", period)
         header = next(messages(log, name, run, period))[1]
         assert isinstance(header, Header)  # noqa: S101  (the first of every log)
         driving = _driving(header, config)
@@ -207,21 +208,6 @@ def _driving(header: Header, settings: AnyConfig | None) -> LandmarkRobot | Lase
     cfg = load(LaserMapConfig, settings, {"laser": {"method": "graph"}}).laser
     cfg.check()
     return LaserRobot(header, cfg)
-
-
-def _begun(store: Store, sensor: str, period: float) -> str:
-    """The run this history is of; raises UsageError when it was begun in another way."""
-    run = store.about("run")
-    if run is None:
-        run = uuid.uuid4().hex
-        store.set_about("sensor", sensor)
-        store.set_about("period", repr(period))
-        store.set_about("run", run)
-    if store.about("sensor") != sensor:
-        raise UsageError(f"{store.path}: the history of a robot with {store.about('sensor')}, this has {sensor}")
-    if store.about("period") != repr(period):
-        raise UsageError(f"--period: this history was begun with {store.about('period')} s, found {period}")
-    return run
 
 
 @path_arguments
@@ -309,7 +295,7 @@ def live_map(
         if fresh:
             kept.clear()
         inbox = Inbox(kept, robots)
-        with session(network, lambda at: say(f"{name}: {LISTENING}{at}")) as opened:
+        with session(told_on(network), lambda at: say(f"{name}: {LISTENING}{at}")) as opened:
             process = MapProcess(name, opened, Topics(network.team), kept, inbox, say, wall, at_the_door)
             process.shared.cfg, process.ekf = landmarks.fuse, landmarks.ekf
             process.laser = weaving

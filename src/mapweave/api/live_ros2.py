@@ -16,6 +16,7 @@ from ..live.robot import Driving, Pace, RobotProcess
 from ..live.ros2.feed import Chosen, RosFeed
 from ..live.ros2.shown import RosView
 from ..live.store import Store
+from ..live.told import LiveTeam, hear_team
 from ..live.topics import Topics
 from ..live.transport import LISTENING, Network, Session, session
 from .map_laser import LaserMapConfig
@@ -33,6 +34,8 @@ class RosOptions:
 
     graph: where the graph's router is, when it is another than the team's `connect`; sensor_pose: where the scanner
     stands on the robot [m, m, rad], when tf does not tell; all_scanners: the scans of all that the robot has.
+    team_map: the graph gets the team's map too, and where its other robots are; goals: where a planner of the team
+    sends the robot, as `goal_pose`, to which Nav2 drives.
     """
 
     domain: int = 0
@@ -40,6 +43,8 @@ class RosOptions:
     graph: str | None = None
     sensor_pose: tuple[float, float, float] | None = None
     all_scanners: bool = False
+    team_map: bool = False
+    goals: bool = False
 
     def check(self, network: Network) -> None:
         """Raises UsageError for what cannot be."""
@@ -80,7 +85,10 @@ def drive_ros2(
         o = options
         asked = Chosen(name, run, period, o.domain, o.pattern, o.sensor_pose, o.all_scanners)
         feed = RosFeed(graph, asked, say)
-        view = RosView(graph, feed, process.listeners, network.team, say)
+        told = LiveTeam()
+        held = hear_team(team, topics, told, name) if o.team_map or o.goals else []
+        shared = {"shared": o.team_map, "goals": o.goals}
+        view = RosView(graph, feed, process.listeners, network.team, say, told, **shared)
         say(
             f"{name}: domain {options.domain} at {', '.join(mine.connect or mine.listen)}, team {network.team}, "
             f"history in {store.path}"
@@ -97,6 +105,8 @@ def drive_ros2(
             sent = process.follow(feed, begin, Pace(linger=linger), stop, shown)
         except RefusedError as error:
             raise UsageError(str(error).partition(": ")[2]) from None
+        finally:
+            held.clear()
         if refused := feed.summary():
             say(f"{name}: refused {refused}")
         return sent, process.heard_by

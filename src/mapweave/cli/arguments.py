@@ -171,6 +171,8 @@ ROS = Group(
             help="Of ros2: where the scanner stands on the robot, as x,y,theta [m, m, rad], when tf does not have it.",
         ),
         "all_scanners": Option(help="Of ros2: use every scanner of the robot, not only the first."),
+        "team_map": Option(help="Of ros2: publish the team's map and its other robots' poses in the robot's graph."),
+        "goals": Option(help="Of ros2: publish where live explore sends the robot as goal_pose: Nav2 drives there."),
     },
 )
 

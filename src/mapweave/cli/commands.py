@@ -454,6 +454,15 @@ COMMANDS: dict[str, Command | dict[str, Command]] = {
             before=_expect_extra,
             said=_nothing,
         ),
+        "explore": Command(
+            verb="api.live_explore:live_explore",
+            does="Send the robots of a team that drives where something is left to see. Ends when nothing is, or with "
+            "Ctrl-C.",
+            example="live explore --connect tcp/HOST:7447",
+            options={"network": LINK},
+            before=_expect_extra,
+            said=_nothing,
+        ),
         "demo": Command(
             verb="api.live_demo:live_demo",
             does="Let a simulated team drive, each robot in a process, mapped in another and shown in the browser.",

@@ -25,6 +25,7 @@ from .messages import (
     PROTOCOL,
     Closed,
     Correction,
+    GoalMessage,
     Header,
     MapState,
     Message,
@@ -121,14 +122,8 @@ def _check(message: Message) -> None:
     match message:
         case Header():
             _header(message)
-        case Rows():
-            _numbered(message.robot, message.run, message.seq)
-            _rows(message)
-        case Scans():
-            _numbered(message.robot, message.run, message.seq)
-            _scans(message)
-        case Closed():
-            _numbered(message.robot, message.run, message.seq)
+        case Rows() | Scans() | Closed():
+            _numbered(message)
         case Status():
             _status(message)
         case Snapshot():
@@ -138,6 +133,11 @@ def _check(message: Message) -> None:
             _pose(message.pose, message.cov)
             _expect(math.isfinite(message.scale) and message.scale > 0, "a scale above 0")
             _within(GREATEST, "a scale", message.scale)
+        case GoalMessage():
+            _names(message.map, message.of, message.robot)
+            _pose(message.pose or (0.0,) * 3, ())
+            _expect(0 <= message.component <= MOST_ROBOTS, "a part")
+            _within(MOST_COUNTED, "a count", message.number)
         case Tile():
             _tile(message)
         case MapState():
@@ -179,10 +179,14 @@ def _unused(rows: Sequence[object]) -> None:
         _within(MOST_COUNTED, "a count", left.messages)
 
 
-def _numbered(robot: str, run: str, seq: int) -> None:
-    _names(robot)
-    _texts(run)
-    _expect(0 < seq <= MOST_MESSAGES, f"a number from 1 to {MOST_MESSAGES}")
+def _numbered(message: Rows | Scans | Closed) -> None:
+    _names(message.robot)
+    _texts(message.run)
+    _expect(0 < message.seq <= MOST_MESSAGES, f"a number from 1 to {MOST_MESSAGES}")
+    if isinstance(message, Rows):
+        _rows(message)
+    elif isinstance(message, Scans):
+        _scans(message)
 
 
 def _rows(message: Rows) -> None:

@@ -30,7 +30,7 @@ from .laser_weaver import LaserWeaver
 from .messages import LARGEST, MapState, Numbers, RefusedError, RobotState, Snapshot, count, encode
 from .shared_map import Fused, SharedMap
 from .store import Store
-from .topics import Topics
+from .topics import LEVEL, Topics
 from .transport import (
     MOST_ANSWERS,
     OWN,
@@ -520,9 +520,12 @@ class MapProcess:
         return out + ([f"refused from others: {count(others)}"] if others else [])
 
     def _answer_tiles(self, query: Query) -> None:
-        """The whole map as it is, for views that come late."""
+        """The whole map as it is, or a level of it, for those who come late."""
         with query:
+            level = query.parameters.get(LEVEL)
             for key in tuple(self.shared.tiles):
+                if level not in {None, str(key[1])}:
+                    continue
                 payload = encode(self.shared.tile(key))
                 query.reply(query.key_expr, payload)
 

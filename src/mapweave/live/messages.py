@@ -147,6 +147,20 @@ class Correction(_Message, tag="correction", frozen=True):
     scale: float
 
 
+class GoalMessage(_Message, tag="goal", frozen=True):
+    """Where a planner sends a robot: `T_map_robot` in a part of the map of map process `of`, or nothing: it may stand.
+
+    map: who tells it; number: counts the robot's goals, so that one that is told again is known.
+    """
+
+    map: str
+    of: str
+    robot: str
+    component: int
+    number: int
+    pose: Numbers = ()
+
+
 class RobotState(msgspec.Struct, frozen=True, kw_only=True):
     """What a map process knows of a robot. pose: `T_map_robot` or nothing; component: 1 is the largest.
 
@@ -213,7 +227,7 @@ class Tile(_Message, tag="tile", frozen=True):
 
 
 Numbered = Header | Rows | Scans | Closed
-Message = Header | Rows | Scans | Closed | Status | Snapshot | Correction | MapState | Tile
+Message = Header | Rows | Scans | Closed | Status | Snapshot | Correction | GoalMessage | MapState | Tile
 
 
 class RefusedError(DataError):

@@ -4,6 +4,7 @@ A message that was put is there after a kill at any moment; none is ever changed
 """
 
 import sqlite3
+import uuid
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -145,3 +146,18 @@ class Store:
         except BaseException:
             self._db.close()
             raise
+
+
+def begun(store: Store, sensor: str, period: float) -> str:
+    """The run this history is of; raises UsageError when it was begun in another way."""
+    run = store.about("run")
+    if run is None:
+        run = uuid.uuid4().hex
+        store.set_about("sensor", sensor)
+        store.set_about("period", repr(period))
+        store.set_about("run", run)
+    if store.about("sensor") != sensor:
+        raise UsageError(f"{store.path}: the history of a robot with {store.about('sensor')}, this has {sensor}")
+    if store.about("period") != repr(period):
+        raise UsageError(f"--period: this history was begun with {store.about('period')} s, found {period}")
+    return run

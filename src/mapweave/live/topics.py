@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from .messages import Tile
 
 EVERY = "*"
+LEVEL = "level"  # in a question for squares: of this one alone
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,13 +49,19 @@ class Topics:
     def correction(self, robot: str, name: str = EVERY) -> str:
         return f"mapweave/{self.team}/@map/{name}/correction/{robot}"
 
-    def tile(self, name: str = EVERY, tile: Tile | None = None) -> str:
-        """One square of the map, published when it has changed."""
-        where = "**" if tile is None else f"{tile.component}/{tile.level}/{tile.i}/{tile.j}"
+    def goal(self, robot: str, name: str = EVERY) -> str:
+        """Where a robot is to drive, told again and again."""
+        return f"mapweave/{self.team}/@map/{name}/goal/{robot}"
+
+    def tile(self, name: str = EVERY, tile: Tile | None = None, level: int | None = None) -> str:
+        """One square of the map, published when it has changed; of all of them, or all of a level."""
+        where = "**" if level is None else f"*/{level}/*/*"
+        if tile is not None:
+            where = f"{tile.component}/{tile.level}/{tile.i}/{tile.j}"
         return f"mapweave/{self.team}/@map/{name}/tile/{where}"
 
     def tiles(self, name: str = EVERY) -> str:
-        """Answers with all squares of the map, one reply each."""
+        """Answers with all squares of the map, or `?level=L` with those of a level, one reply each."""
         return f"mapweave/{self.team}/@map/{name}/tiles"
 
     def robot_of(self, key: str) -> str:

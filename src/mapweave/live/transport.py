@@ -65,6 +65,14 @@ def is_open(network: Network) -> bool:
     return network.tls is None and (alone or not all(_is_here(at) for at in (*network.connect, *network.listen)))
 
 
+def told_on(network: Network) -> Network:
+    """The same, of a process that tells all others: what it says is passed on by the one that it connects to.
+
+    Zenoh passes nothing on from peer to peer, as each could reach the other; from a router to peers it does.
+    """
+    return replace(network, extra={"mode": "router", **network.extra}) if network.connect else network
+
+
 def _is_here(endpoint: str) -> bool:
     """Whether it is of this machine alone."""
     host = endpoint.partition("/")[2].rpartition(":")[0].strip("[]")
@@ -174,20 +182,27 @@ def ask(
     on_end: Callable[[], None],
     timeout: float = 5.0,
 ) -> None:
-    """Everybody who answers under `key`; `on_answer` and `on_end` are called from another thread."""
+    """Everybody who answers under `key`; `on_answer` and `on_end` are called from another thread.
+
+    Nobody is asked, and nothing called, where the session is closed meanwhile.
+    """
 
     def take(reply: zenoh.Reply) -> None:
         if reply.ok is not None:
             on_answer(reply.ok.payload.to_bytes())
 
-    where.get(
-        f"{key}?{parameters}" if parameters else key,
-        zenoh.handlers.Callback(take, on_end),
-        target=zenoh.QueryTarget.ALL,
-        consolidation=zenoh.ConsolidationMode.NONE,
-        timeout=timeout,
-        congestion_control=zenoh.CongestionControl.BLOCK,  # answers come as they were asked for: none is let go
-    )
+    try:
+        where.get(
+            f"{key}?{parameters}" if parameters else key,
+            zenoh.handlers.Callback(take, on_end),
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            timeout=timeout,
+            congestion_control=zenoh.CongestionControl.BLOCK,  # answers come as they were asked for: none is let go
+        )
+    except zenoh.ZError:
+        if not where.is_closed():
+            raise
 
 
 def answer(query: zenoh.Query, key: str, messages: Callable[[int, int], Sequence[tuple[int, bytes]]]) -> None:

@@ -16,10 +16,8 @@ from jaxtyping import Float
 from ..core import se2
 from ..core.viewport import viewport
 from ..io.web import Answer, Asked, served_pages
-from .door import decode
-from .messages import MapState, RefusedError, RobotState, Tile
-from .topics import Topics
-from .transport import Callback, Sample, Session, ask
+from .messages import MapState, RobotState, Tile
+from .told import MOST_MAPS, Squares
 
 PAGE = Path(__file__).with_name("page.html").read_text(encoding="utf-8").replace("/* viewport */", viewport())
 POINTS = 4000  # of each robot's trail, for browsers that come late
@@ -27,10 +25,7 @@ STEP = 0.05  # [m] from point to point of a trail
 SILENCE = 10.0  # [s] after which a browser is told that nothing came, so that one that left is noticed
 FRAME = 0.1  # [s] from one to the next at least: what comes meanwhile goes together
 KEPT_FRAMES = 50  # a reader that is farther behind begins anew
-MOST_MAPS = 16  # map processes that are shown; a new one takes the place of the one that was silent longest
 MOST_TRAILS = 512  # of robots of all maps, likewise
-MOST_TILE_BYTES = 128 << 20  # of all squares; the oldest ones go
-TILE_OVERHEAD = 500  # [bytes] of a square beside its cells
 CORRECTED = 0.3  # [m] by which a correction has to move a robot for its trail to begin anew from there
 Pose = Float[np.ndarray, "3"]
 Point = tuple[float, float, int, int]  # x, y [m], component, stretch: no line is drawn from one stretch to the next
@@ -47,18 +42,21 @@ class Board:
     def __init__(self) -> None:
         self.version = 0
         self.readers = 0
-        self.fetched = self.encoded = self.let_go = 0
+        self.fetched = self.encoded = self._let_go = 0
         self.closed = False
         self.states: dict[str, MapState] = {}
         self._trails: dict[str, list[tuple[int, Point]]] = {}  # with the version that brought each point
         self._frames: dict[str, Pose] = {}
         self._fresh: dict[str, int] = {}
-        self._tiles: dict[str, tuple[int, Tile]] = {}  # those that are gone without cells
-        self._tile_bytes = 0
+        self._squares = Squares()
         self._number, self._framed, self._due = 0, 0, float("-inf")
         self._recent: deque[bytes] = deque(maxlen=KEPT_FRAMES)  # the newest frames, number `_number` the last
         self._whole: tuple[int, bytes] | None = None  # everything, as of the frame of that number
         self._changed = Condition()
+
+    @property
+    def let_go(self) -> int:
+        return self._let_go + self._squares.let_go
 
     def take(self, state: MapState) -> None:
         """What a map process says now; who waits is woken."""
@@ -67,7 +65,7 @@ class Board:
             if state.map not in self.states and len(self.states) >= MOST_MAPS:
                 silent = min(self._fresh, key=self._fresh.__getitem__)
                 del self.states[silent], self._fresh[silent]
-                self.let_go += 1
+                self._let_go += 1
             self.states[state.map] = state
             self._fresh[state.map] = self.version
             for robot in state.robots:
@@ -79,29 +77,20 @@ class Board:
         """A square of a map as it is now."""
         with self._changed:
             self.version += 1
-            key = f"{tile.map}/{tile.component}/{tile.level}/{tile.i}/{tile.j}"
-            before = self._tiles.pop(key, None)
-            self._tiles[key] = (self.version, tile)
-            self._tile_bytes += TILE_OVERHEAD + len(tile.cells)
-            if before is not None:
-                self._tile_bytes -= TILE_OVERHEAD + len(before[1].cells)
-            while self._tile_bytes > MOST_TILE_BYTES:
-                oldest = next(iter(self._tiles))
-                self._tile_bytes -= TILE_OVERHEAD + len(self._tiles.pop(oldest)[1].cells)
-                self.let_go += 1
+            self._squares.put(self.version, tile)
             self._changed.notify_all()
 
     def cells(self, key: str) -> bytes | None:
         """The packed cells of a tile; None where there is none."""
         with self._changed:
             self.fetched += 1
-            return self._tiles[key][1].cells or None if key in self._tiles else None
+            return self._squares.kept[key][1].cells or None if key in self._squares.kept else None
 
     def _newer(self, version: int) -> dict[str, tuple[int, float] | None]:
         """Tiles told after `version`: when, and the side of their cells [m]; None for those that are gone."""
         return {
             key: (when, tile.cell) if tile.cells else None
-            for key, (when, tile) in self._tiles.items()
+            for key, (when, tile) in self._squares.kept.items()
             if when > version
         }
 
@@ -110,7 +99,7 @@ class Board:
             oldest = min(self._trails, key=lambda name: self._trails[name][-1][0] if self._trails[name] else 0)
             del self._trails[oldest]
             self._frames.pop(oldest, None)
-            self.let_go += 1
+            self._let_go += 1
         trail = self._trails.setdefault(key, [])
         before, now = self._frames.get(key), np.array(robot.frame)
         if now.size:
@@ -190,29 +179,6 @@ class Board:
         with self._changed:
             self.closed = True
             self._changed.notify_all()
-
-
-def follow(session: Session, topics: Topics, board: Board) -> object:
-    """`board` hears every map process of the team for as long as what is returned is held."""
-
-    def take(payload: bytes, name: str | None = None) -> None:
-        try:
-            message = decode(payload)
-        except RefusedError:
-            return
-        if isinstance(message, MapState) and message.map == name:
-            new = name not in board.states
-            board.take(message)
-            if new:  # what it has drawn so far is asked for
-                ask(session, topics.tiles(name), "", take, lambda: None)
-        elif isinstance(message, Tile) and name in {None, message.map}:
-            board.take_tile(message)
-
-    def hear(sample: Sample) -> None:
-        take(sample.payload.to_bytes(), topics.map_of(str(sample.key_expr)))
-
-    callback = Callback(hear)
-    return [session.declare_subscriber(key, callback) for key in (topics.map_state(), topics.tile())]
 
 
 @contextmanager

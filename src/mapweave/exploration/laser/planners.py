@@ -403,6 +403,24 @@ def walls_and_area(problem: AllocationProblem, cfg: LaserExploreConfig) -> tuple
     return tuple(x / x.max() if x.size and x.max() > 0 else x for x in terms)
 
 
+def choose_goals(
+    belief: LaserBelief,
+    poses: Float[np.ndarray, "r 3"],
+    cfg: LaserExploreConfig,
+    allocate: Allocator,
+    *,
+    go_home: bool = False,
+) -> PlannerState:
+    """Where each robot heads by `allocate`, for robots that find their ways themselves; sets the memory as `drive`."""
+    state = planner_state_of(belief, poses, cfg)
+    live = np.flatnonzero(belief.alive)
+    _tidy(state, belief, poses, live, cfg)
+    if _due(state, belief.step, live, cfg):
+        _plan(state, belief, poses, live, cfg, allocate, go_home=go_home)
+    belief.memory["goals"] = {j: goal.place for j, goal in state.goals.items()}
+    return state
+
+
 def drive(
     belief: LaserBelief,
     poses: Float[np.ndarray, "r 3"],
@@ -416,13 +434,9 @@ def drive(
     Sets memory["finished"] when no frontier is left that a robot can get to (and, with `go_home`, all are back);
     memory["goals"]: {robot: place}; memory["given_up"], memory["pockets"]: (n, 2) places [m].
     """
-    state = planner_state_of(belief, poses, cfg)
+    state = choose_goals(belief, poses, cfg, allocate, go_home=go_home)
     live = np.flatnonzero(belief.alive)
-    _tidy(state, belief, poses, live, cfg)
-    if _due(state, belief.step, live, cfg):
-        _plan(state, belief, poses, live, cfg, allocate, go_home=go_home)
     resolve_conflicts(state, poses, live, belief.step, cfg)
-    belief.memory["goals"] = {j: goal.place for j, goal in state.goals.items()}
     out = np.zeros((len(belief.robots), 2))
     will_be = {int(j): poses[j : j + 1, :2] for j in live}
     for j in priority_order(state, live):

@@ -13,6 +13,7 @@ from ...core.records import Scan, Track, frozen
 from ...io.assemble import RawScan, floats, is_sound, poses_at, scan_of
 from ...io.transforms import Transforms, frame, in_range, planar, rigid
 from ..door import GREATEST, MOST_BEAMS, expect_steps
+from ..laser_feed import Row, Stamped
 from ..messages import RefusedError
 
 PATIENCE = 2.0  # [s] of the robot's clock that a scan waits for odometry and for its frame
@@ -22,9 +23,6 @@ SURE = 3
 MOST_WAITING = 2000  # scans
 UNDECIDED = 2000  # transforms kept while it is open whether odometry comes from tf
 POSES, BY_TF, NO_ODOMETRY = "poses", "tf", "none"
-
-Row = tuple[float, float, float, float]  # t [s], x, y [m], theta [rad]
-Placed = tuple[float, Scan]
 
 
 @dataclass(slots=True)
@@ -187,12 +185,12 @@ class Assembly:
             raise RefusedError("malformed", "a scan whose angles or limits are none")
         return raw
 
-    def ready(self, *, all_of_them: bool = False) -> tuple[list[Placed], list[Row]]:
+    def ready(self, *, all_of_them: bool = False) -> tuple[list[Stamped], list[Row]]:
         """Scans that are placed now, in the order of their stamps, and odometry rows since the last time.
 
         all_of_them: none will follow, so that those still waiting are refused.
         """
-        out: list[Placed] = []
+        out: list[Stamped] = []
         while self._waiting:
             raw, name = self._waiting[0]
             placed = self._placed(raw, name)

@@ -14,6 +14,7 @@ SCAN = "sensor_msgs/msg/LaserScan"
 ODOMETRY = "nav_msgs/msg/Odometry"
 TF = "tf2_msgs/msg/TFMessage"
 GRID = "nav_msgs/msg/OccupancyGrid"
+GOAL = "geometry_msgs/msg/PoseStamped"
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 BROKEN = (
     *(SerdeError, TypesysError, struct.error, ValueError, LookupError, TypeError, AttributeError, AssertionError),

@@ -2,21 +2,17 @@
 
 import re
 import time
-from bisect import bisect_right
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from functools import partial
-from operator import itemgetter
 from queue import Empty, Full, Queue
 
-from ...core.names import robot_name
-from ..columns import pack, unpack
-from ..laser_stream import MOST_BYTES, beams_of
-from ..messages import Closed, Header, Numbered, RefusedError, ScanBeams, Scans
+from ..laser_feed import Packets, Row, Stamped, log_robot, told_until
+from ..messages import Closed, Header, Numbered, RefusedError
 from ..transport import Callback, HistoryConfig, Sample, SampleKind, Session, declare_advanced_subscriber
-from .assembly import NO_ODOMETRY, POSES, Assembly, Placed, Row
+from .assembly import NO_ODOMETRY, POSES, Assembly
 from .cdr import ODOMETRY, SCAN, TF, decode, type_hash
 from .wire import NO_HASH, PUBLISHER, SUBSCRIPTION, Attachment, Entity, Qos, Topic, every_token
 
@@ -143,57 +139,6 @@ def _best(topics: Iterable[Topic], word: str) -> list[Topic]:
     return sorted(topics, key=lambda t: (t.name.rsplit("/", 1)[-1] != word, len(_place(t)), t.name))
 
 
-@dataclass(slots=True)
-class Packets:
-    """Messages after number `last` of a history. period: seconds of scans in one.
-
-    `add` and `close` change it and give what is complete.
-    """
-
-    header: Header
-    period: float
-    last: int = 0
-    _until: float | None = None
-    _scans: list[ScanBeams] = field(default_factory=list)
-    _rows: list[Row] = field(default_factory=list)
-    _bytes: int = 0
-
-    def add(self, placed: Sequence[Placed], rows: Sequence[Row]) -> list[Numbered]:
-        """Whole messages now that these came."""
-        out: list[Numbered] = []
-        if self.header.odometry:
-            self._rows += rows
-        for t, scan in placed:
-            if self._until is not None and t >= self._until:
-                out += self._flush()
-                self._until = None
-            beams = beams_of(t, scan)
-            size = len(beams.ranges) + len(beams.light or b"") + len(beams.hit)
-            if self._bytes + size > MOST_BYTES:
-                out += self._flush()
-            self._scans.append(beams)
-            self._bytes += size
-            self._until = t + self.period if self._until is None else self._until
-        return out
-
-    def close(self) -> list[Numbered]:
-        """The rest, and that it is the end."""
-        out = self._flush()
-        self.last += 1
-        return [*out, Closed(robot=self.header.robot, run=self.header.run, seq=self.last)]
-
-    def _flush(self) -> list[Numbered]:
-        """The scans that wait, and odometry up to the last of them: what is later comes with later scans."""
-        if not self._scans:
-            return []
-        self.last += 1
-        end = bisect_right(self._rows, self._scans[-1].t, key=itemgetter(0))
-        rows, self._rows = self._rows[:end], self._rows[end:]
-        scans, self._scans, self._bytes = self._scans, [], 0
-        track = pack(*zip(*rows, strict=True)) if rows else b""
-        return [Scans(robot=self.header.robot, run=self.header.run, seq=self.last, track=track, scans=scans)]
-
-
 WAITING = 5000  # messages not worked in yet: beyond, they are let go and counted
 MOST_PUBLISHERS = 10_000
 SETTLE = 1.0  # [s] after the first robot is seen, for others to be seen too
@@ -276,13 +221,7 @@ class RosFeed:
         assert isinstance(header, Header)  # noqa: S101  (number 0 of every history)
         self._packets, self._new = Packets(header, self.asked.period, last.seq), False
         self.assembly.wheels = header.odometry_from
-        scan = odometry = light = None
-        for message in kept[1:]:
-            if isinstance(message, Scans):
-                scan = message.scans[-1].t if message.scans else scan
-                light = message.scans[0].light is not None if message.scans and light is None else light
-                track = unpack(message.track, 4)
-                odometry = float(track[0, -1]) if track.shape[1] else odometry
+        scan, odometry, light = told_until(kept)
         self.assembly.resume(scan, odometry, light=light)
 
     def take(self, timeout: float) -> list[Numbered]:
@@ -334,20 +273,19 @@ class RosFeed:
         return True
 
     def _header(self, robot: RosRobot) -> Header:
-        number = re.search(r"(\d+)$", self.asked.name)
         wheels = self.assembly.wheels
         return Header(
             robot=self.asked.name,
             run=self.asked.run,
             sensor="laser",
-            log_robot=robot_name("1" if number is None else str(int(number[1]))),
+            log_robot=log_robot(self.asked.name),
             source=f"ros2:{robot.scan.name}",
             odometry=wheels != NO_ODOMETRY,
             odometry_from=wheels,
             log_hash=self.asked.run,
         )
 
-    def _whole(self, placed: list[Placed], rows: list[Row]) -> list[Numbered]:
+    def _whole(self, placed: list[Stamped], rows: list[Row]) -> list[Numbered]:
         """Messages that are complete now; the header comes before the first scan."""
         assert self._packets is not None  # noqa: S101  (begun)
         new = bool(placed) and self._new

@@ -1,0 +1,215 @@
+"""Simulated robots of a live team drive where `live explore` sends them: how far they get, and what they are told.
+
+    python benchmarks/live_explore.py [--robots 1,2,4] [--area 150] [--rate 2] [--seconds 300] [--floor 0]
+
+The map process is a process of its own. Robots stand in one office and are `LiveLaser`s of this one: each tells a scan
+of 360 beams every half second of driving, asks for its place, its goal and the map (cells of 0.2 m), and takes the next
+command on the way there; it knows nothing of the world but that. All starts are told the map process. `--rate`: seconds
+of driving in one by the clock.
+
+Seen: of the ground that robots reach, what the team's map shows as free in the end. Place off: the robots' places in
+the team's map against the truth, every half second of driving. Processor: of the map process until the end.
+"""
+
+import argparse
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+import mapweave
+from mapweave.api.live_explore import LEVEL, WALL
+from mapweave.core import se2
+from mapweave.core.walls import Walls
+from mapweave.core.workers import keep_one_blas_thread
+from mapweave.evaluation.building import known_at, survey_building
+from mapweave.exploration.laser.config import LaserExploreConfig
+from mapweave.exploration.laser.frontiers import mapped_ground
+from mapweave.exploration.laser.mission import points_of
+from mapweave.exploration.laser.planner_state import route_to
+from mapweave.exploration.laser.planners import steer
+from mapweave.live.transport import LISTENING
+from mapweave.sim.laser import START_NS
+from mapweave.sim.laser_team import LaserRobotsConfig, LaserTeamSim
+from mapweave.sim.laser_worlds import office_floor
+
+CFG = LaserExploreConfig()
+WAY_AGAIN = 4  # steps until the way to a goal is looked for anew: the map has grown
+NOBODY = np.zeros((0, 2))
+START = START_NS / 1e9  # [s]
+
+
+@dataclass
+class Driver:
+    """One robot: what it knows is what its team tells it and its own scan. errors: [m] of its place, at each step."""
+
+    name: str
+    robot: mapweave.LiveLaser
+    way: object = None
+    to: tuple[int, int] | None = None
+    planned: int = -1000
+    goals: int = 0
+    errors: list[float] = field(default_factory=list)
+
+    def command(self, step: int, points: np.ndarray) -> np.ndarray:
+        """What it does next, `points` (k, 2) being around it."""
+        place, goal = self.robot.place, self.robot.team.goal(self.name)
+        if place is None or place.pose is None or goal is None or goal.part != place.part:
+            return np.zeros(2)
+        others = [
+            r.pose[:2]
+            for r in self.robot.team.robots().values()
+            if r.pose is not None and r.part == place.part and r.name != self.name
+        ]
+        if self.to != (goal.part, goal.number) or step >= self.planned + WAY_AGAIN:
+            self.goals += self.to != (goal.part, goal.number)
+            self.to, self.planned = (goal.part, goal.number), step
+            grid = self.robot.team.grid(goal.part, LEVEL)
+            if grid is None:
+                return np.zeros(2)
+            ground = mapped_ground(grid.planned_on(WALL), place.pose[None, :2], NOBODY, CFG)
+            self.way = route_to(ground, goal.pose[:2], np.array(others).reshape(-1, 2), CFG)
+        target = self.way.target(place.pose[:2], CFG.follower.lookahead)
+        if target is None or np.hypot(*(target - place.pose[:2])) < 0.5 * CFG.resolution:
+            return np.zeros(2)
+        return steer(place.pose, target, points, np.array(others).reshape(-1, 2), CFG)
+
+
+@contextlib.contextmanager
+def mapping(folder: Path, starts: np.ndarray):
+    """A map process, and where it listens."""
+    words = [sys.executable, "-m", "mapweave", "live", "map", "--out", str(folder / "out")]
+    for k, start in enumerate(starts, 1):
+        x, y, theta = se2.between(starts[0], start)
+        words.append(f"--start=r{k}={x:.3f},{y:.3f},{theta:.4f},0.05")
+    words += ["--listen", "tcp/127.0.0.1:0"]
+    env = {**os.environ, "PYTHONUNBUFFERED": "1", "OMP_NUM_THREADS": "1"}
+    log = (folder / "map.log").open("w")
+    with subprocess.Popen(words, stdout=log, stderr=subprocess.STDOUT, env=env) as process:
+        try:
+            while LISTENING not in (folder / "map.log").read_text():
+                if process.poll() is not None:
+                    raise SystemExit((folder / "map.log").read_text())
+                time.sleep(0.05)
+            yield process, (folder / "map.log").read_text().split(LISTENING)[1].split()[0]
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.wait()
+            log.close()
+
+
+def explored(robots: int, area: float, rate: float, seconds: float, floor: int = 0, say=lambda _: None) -> dict:
+    """One team, until nothing is left to see or `seconds` of driving are over."""
+    office = office_floor(area, floor)
+    starts = office.starts[:robots]
+    sim = LaserTeamSim(office.world, starts, LaserRobotsConfig(), floor)
+    walls = Walls(office.world.segments, office.world.reflectance, office.world.solid)
+    building = survey_building(walls, office.lower, office.upper, starts, CFG.radius, sim.cfg.scanner.far)
+    done, said = threading.Event(), []
+    with tempfile.TemporaryDirectory() as home, contextlib.ExitStack() as stack:
+        folder = Path(home)
+        process, at = stack.enter_context(mapping(folder, starts))
+        network = mapweave.Network(connect=(at,))
+        drivers = [Driver(f"r{k}", stack.enter_context(live(f"r{k}", folder, network))) for k in range(1, robots + 1)]
+
+        def send() -> None:
+            mapweave.live_explore(network=network, stop=done, say=said.append)
+
+        sending = threading.Thread(target=send)
+        sending.start()
+        begin = time.monotonic()
+        try:
+            while sending.is_alive() and sim.t - START < seconds:
+                scans = [sim.scan(j) for j in range(robots)]
+                for driver, scan in zip(drivers, scans, strict=True):
+                    tell(driver.robot, sim.t, scan)
+                for j, driver in enumerate(drivers):
+                    place = driver.robot.place
+                    if place is not None and place.part == 1:
+                        off = se2.between(se2.between(starts[0], sim.true_poses[j]), place.pose)
+                        driver.errors.append(float(np.hypot(*off[:2])))
+                time.sleep(max(0.0, begin + sim.steps * CFG.period / rate - time.monotonic()))
+                sim.step(np.array([d.command(sim.steps, points_of(s)) for d, s in zip(drivers, scans, strict=True)]))
+        finally:
+            done.set()
+            sending.join()
+        team = drivers[0].robot.team
+        grid, parts = team.grid(1, LEVEL), [robot.part for robot in team.robots().values()]
+        cpu = sum(map(int, Path(f"/proc/{process.pid}/stat").read_text().split()[13:15])) / os.sysconf("SC_CLK_TCK")
+        seen = 0.0
+        if grid is not None:
+            free = grid.planned_on(WALL).free
+            places = se2.act(se2.inverse(starts[0]), building.places()[::7])
+            seen = float(known_at(np.asarray(places), free, grid.origin, grid.resolution).mean())
+        for line in said:
+            say(line)
+    errors = np.concatenate([d.errors for d in drivers])
+    return {
+        "robots": robots,
+        "area": building.area,
+        "seconds": sim.t - START,
+        "ended": any("nothing is left" in line for line in said),
+        "seen": seen,
+        "goals": sum(d.goals for d in drivers),
+        "collisions": int(sim.collisions.sum()),
+        "off_p50": float(np.median(errors)) if len(errors) else np.nan,
+        "off_p99": float(np.quantile(errors, 0.99)) if len(errors) else np.nan,
+        "tied": parts.count(1),
+        "cpu": cpu,
+    }
+
+
+def live(name: str, folder: Path, network: mapweave.Network) -> mapweave.LiveLaser:
+    quiet = {"linger": 5.0, "say": lambda _: None}
+    return mapweave.LiveLaser(name, period=0.5, history=folder / name, level=LEVEL, network=network, **quiet)
+
+
+def tell(robot: mapweave.LiveLaser, t: float, scan) -> None:
+    given = {"odometry": scan.odometry, "range_max": scan.range_max}
+    robot.add_scan(t, np.where(scan.hit, scan.ranges, np.inf), scan.angles(), **given)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--robots", default="1,2,4")
+    parser.add_argument("--area", type=float, default=150.0, help="of the office [m^2]")
+    parser.add_argument("--rate", type=float, default=2.0, help="seconds of driving in one by the clock")
+    parser.add_argument("--seconds", type=float, default=300.0, help="of driving at most")
+    parser.add_argument("--floor", type=int, default=0, help="seed of the office")
+    parser.add_argument("--say", action="store_true", help="print the goals too")
+    given = parser.parse_args()
+    keep_one_blas_thread()
+    head = [
+        "robots",
+        "reached",
+        "until",
+        "seen",
+        "goals",
+        "collisions",
+        "place off, p50",
+        "p99",
+        "in one map",
+        "processor",
+    ]
+    print(f"| {' | '.join(head)} |", "|---" * len(head) + "|", sep="\n")
+    say = print if given.say else lambda _: None
+    for robots in map(int, given.robots.split(",")):
+        r = explored(robots, given.area, given.rate, given.seconds, given.floor, say)
+        until = f"{r['seconds']:.0f} s" + ("" if r["ended"] else ", not at an end")
+        print(
+            f"| {robots} | {r['area']:.0f} m2 | {until} | {100 * r['seen']:.0f} % | {r['goals']} | {r['collisions']} |"
+            f" {r['off_p50']:.2f} m | {r['off_p99']:.2f} m | {r['tied']} | {r['cpu']:.0f} s |",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()

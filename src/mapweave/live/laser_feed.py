@@ -1,0 +1,156 @@
+"""Scans that come one by one, from a program or a ROS graph, as the numbered messages of a robot."""
+
+import re
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from operator import itemgetter
+from queue import Empty, Queue
+from threading import Event
+
+from ..core.errors import DataError
+from ..core.names import robot_name
+from ..core.records import Scan
+from .columns import pack, unpack
+from .laser_stream import MOST_BYTES, beams_of
+from .messages import Closed, Header, Numbered, RefusedError, ScanBeams, Scans
+
+Row = tuple[float, float, float, float]  # t [s], x, y [m], theta [rad]
+Stamped = tuple[float, Scan]
+WAITING = 1000  # scans: who hands in more waits
+
+
+@dataclass(slots=True)
+class Packets:
+    """Messages after number `last` of a history. period: seconds of scans in one.
+
+    `add` and `close` change it and give what is complete.
+    """
+
+    header: Header
+    period: float
+    last: int = 0
+    _until: float | None = None
+    _scans: list[ScanBeams] = field(default_factory=list)
+    _rows: list[Row] = field(default_factory=list)
+    _bytes: int = 0
+
+    def add(self, placed: Sequence[Stamped], rows: Sequence[Row]) -> list[Numbered]:
+        """Whole messages now that these came."""
+        out: list[Numbered] = []
+        if self.header.odometry:
+            self._rows += rows
+        for t, scan in placed:
+            if self._until is not None and t >= self._until:
+                out += self._flush()
+                self._until = None
+            beams = beams_of(t, scan)
+            size = len(beams.ranges) + len(beams.light or b"") + len(beams.hit)
+            if self._bytes + size > MOST_BYTES:
+                out += self._flush()
+            self._scans.append(beams)
+            self._bytes += size
+            self._until = t + self.period if self._until is None else self._until
+        return out
+
+    def close(self) -> list[Numbered]:
+        """The rest, and that it is the end."""
+        out = self._flush()
+        self.last += 1
+        return [*out, Closed(robot=self.header.robot, run=self.header.run, seq=self.last)]
+
+    def _flush(self) -> list[Numbered]:
+        """The scans that wait, and odometry up to the last of them: what is later comes with later scans."""
+        if not self._scans:
+            return []
+        self.last += 1
+        end = bisect_right(self._rows, self._scans[-1].t, key=itemgetter(0))
+        rows, self._rows = self._rows[:end], self._rows[end:]
+        scans, self._scans, self._bytes = self._scans, [], 0
+        track = pack(*zip(*rows, strict=True)) if rows else b""
+        return [Scans(robot=self.header.robot, run=self.header.run, seq=self.last, track=track, scans=scans)]
+
+
+def told_until(kept: Sequence[Numbered]) -> tuple[float | None, float | None, bool | None]:
+    """Stamps [s] of the last scan and the last odometry of a history, and whether its scans have light."""
+    scan = odometry = light = None
+    for message in kept:
+        if isinstance(message, Scans):
+            scan = message.scans[-1].t if message.scans else scan
+            light = message.scans[0].light is not None if message.scans and light is None else light
+            track = unpack(message.track, 4)
+            odometry = float(track[0, -1]) if track.shape[1] else odometry
+    return scan, odometry, light
+
+
+def log_robot(name: str) -> str:
+    """What a robot is called in the log of its drive: by the number that its name ends with."""
+    number = re.search(r"(\d+)$", name)
+    return robot_name("1" if number is None else str(int(number[1])))
+
+
+class ScanFeed:
+    """Scans that a program hands in with `put`, from any thread; the rest is asked by the robot's process.
+
+    period: [s] of scans in one message. resumed: stamp [s] up to which scans are in the history already.
+    """
+
+    def __init__(self, name: str, run: str, period: float) -> None:
+        self.resumed = float("-inf")
+        self._name, self._run, self._period = name, run, period
+        self._waiting: Queue[Stamped] = Queue(WAITING)
+        self._packets: Packets | None = None
+        self._driven = float("-inf")  # [s] stamp of the last odometry
+        self._known = Event()  # what the history holds
+
+    def put(self, t: float, scan: Scan) -> None:
+        """One scan; waits while too many do, and until it is known what the history holds."""
+        self._known.wait()
+        if t <= self.resumed:
+            raise DataError(f"scan at {t} s: the history of {self._name} goes on after {self.resumed!r} s")
+        self._waiting.put((t, scan))
+
+    def resume(self, kept: Sequence[Numbered]) -> None:
+        try:
+            if kept and (isinstance(kept[-1], Closed) or not isinstance(kept[0], Header)):
+                raise RefusedError("history", "this drive has ended; a fresh history begins a new one")
+            if kept and isinstance(kept[0], Header):
+                self._packets = Packets(kept[0], self._period, kept[-1].seq)
+                t, driven, _ = told_until(kept)
+                self.resumed = self.resumed if t is None else t
+                self._driven = self._driven if driven is None else driven
+        finally:
+            self._known.set()
+
+    def take(self, timeout: float) -> list[Numbered]:
+        out: list[Numbered] = []
+        try:
+            out += self._told(*self._waiting.get(timeout=timeout))
+            while True:
+                out += self._told(*self._waiting.get_nowait())
+        except Empty:
+            return out
+
+    def close(self) -> list[Numbered]:
+        out = self.take(0.001)
+        return out if self._packets is None else [*out, *self._packets.close()]
+
+    def _told(self, t: float, scan: Scan) -> list[Numbered]:
+        begin = self._packets is None
+        if self._packets is None:
+            self._packets = Packets(self._header(scan), self._period)
+        rows = [] if scan.odometry is None or t <= self._driven else [(t, *scan.odometry.tolist())]
+        self._driven = max(self._driven, t)
+        return [*([self._packets.header] if begin else []), *self._packets.add([(t, scan)], rows)]
+
+    def _header(self, scan: Scan) -> Header:
+        return Header(
+            robot=self._name,
+            run=self._run,
+            sensor="laser",
+            log_robot=log_robot(self._name),
+            source="scans as they came",
+            odometry=scan.odometry is not None,
+            odometry_from="none" if scan.odometry is None else "poses",
+            log_hash=self._run,
+        )
