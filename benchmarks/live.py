@@ -4,8 +4,10 @@
 
 A case is a sensor, numbers of robots, and the rate: seconds of driving in one second. The map process is a process of
 its own; all robots are sessions of this one, which tells what real robots would (rows or scans, statuses, snapshots,
-computed beforehand, so that only the map process's work is measured). Robots of an office drive rounds from one dock,
-which the map process is told; then the next round. `--out` writes figures and curves too, `--drawn` draws them anew.
+computed beforehand, so that only the map process's work is measured). Robots of an office (`laser`) drive rounds from
+one dock, which the map process is told; then the next round. Those with a `scanner` of 360 beams all round that looks
+ten times a second do as well, and nobody tells where they begin. `--out` writes figures and curves too, `--drawn` draws
+them anew.
 
 Heard: from putting a message on the network until it is in its place in the map process's store. In the map: until the
 process has told a map that holds it. Processor and memory are those of the map process, all its threads. In one map:
@@ -50,14 +52,20 @@ from mapweave.live.topics import Topics
 from mapweave.live.transport import Network, put, session
 from mapweave.mapping.merge_search import MergeConfig
 from mapweave.sim.landmarks import TeamWorld, simulate_team
-from mapweave.sim.laser import drive
+from mapweave.sim.laser import DriveConfig, Scanner, drive
 from mapweave.sim.laser_worlds import OfficeConfig, office_route, office_world
 
-CASES = "laser:1,5,20,50:1/laser:10:4/landmarks:1,50:1"
-WAYS = {"landmarks": 50, "laser": 6}  # simulated logs; further robots tell them again under their own names
+CASES = "laser:1,5,20,50:1/laser:10:4/scanner:1,5,10,20,50:1/landmarks:1,20,50:1"
+WAYS = {"landmarks": 50, "laser": 6, "scanner": 6}  # simulated logs; others tell them again under their own names
+FINE = Scanner(beams=360, opening=2 * np.pi * 359 / 360, far=12.0)
+DRIVES = {  # two scans a second as the office has them; ten a second of a scanner that looks all round
+    "laser": OfficeConfig().drive,
+    "scanner": DriveConfig(scan_every=0.05, odometry_every=0.05, scanner=FINE),
+}
+HIDDEN = {"scanner"}  # nobody tells where these begin
 PERIOD = 1.0
 EXPECTED = {"p99_s": 2.0, "kB_a_robot_minute": 1000.0}
-STYLE = {"landmarks": "o--", "laser": "s-"}
+STYLE = {"landmarks": "o--", "laser": "s-", "scanner": "^-"}
 Row = dict[str, float | str | list]
 
 
@@ -71,15 +79,15 @@ class Told:
 
 
 @cache
-def one_round(k: int, world: int = 0) -> tuple[LaserLog, Track]:
+def one_round(k: int, world: int = 0, sensor: str = "laser") -> tuple[LaserLog, Track]:
     """Robot k's round through the office of seed `world`, and where it was."""
-    made = drive(office_world(OfficeConfig(), world), office_route(OfficeConfig(), k), OfficeConfig().drive, k)
+    made = drive(office_world(OfficeConfig(), world), office_route(OfficeConfig(), k), DRIVES[sensor], k)
     return replace(made.log, robot=f"robot{k}"), made.truth
 
 
-def rounds(k: int, seconds: float, world: int = 0) -> LaserLog:
+def rounds(k: int, seconds: float, world: int = 0, sensor: str = "laser") -> LaserLog:
     """As many rounds as `seconds` take, one after the other; the odometry goes on from round to round."""
-    log, truth = one_round(k, world)
+    log, truth = one_round(k, world, sensor)
     back = se2.between(truth.pose[-1], truth.pose[0])
     lasts = log.odometry.t[-1] - log.odometry.t[0] + 0.2
     scans, scan_t, odo_t, odo = [], [], [], []
@@ -108,7 +116,7 @@ def team(seed: int) -> dict[str, LandmarkLog]:
 
 def prepared(sensor: str, k: int, seconds: float, rate: float, world: int = 0) -> list[Told]:
     """What robot k of the simulated team tells in `seconds` by the clock, `rate` times as fast as it drove."""
-    log = rounds(k, seconds * rate, world) if sensor == "laser" else team(world)[f"robot{k}"]
+    log = rounds(k, seconds * rate, world, sensor) if sensor in DRIVES else team(world)[f"robot{k}"]
     out, robot, begin = [], None, None
     snapshot_due = 0.0
     for t, message in messages(log, f"r{k}", "run", PERIOD):
@@ -124,10 +132,11 @@ def prepared(sensor: str, k: int, seconds: float, rate: float, world: int = 0) -
             if at >= snapshot_due:
                 out.append(Told(at, "snapshot", robot.snapshot()))
                 snapshot_due = at + pause_after(len(encode(out[-1].message)))
+    kind = "landmarks" if sensor == "landmarks" else "laser"
     pose = {"pose": (0.0, 0.0, 0.0), "cov": (0.1, 0.0, 0.0, 0.1, 0.0, 0.1)}
     for at in np.arange(0.0, seconds, 0.5).tolist():
         seq = max((m.message.seq for m in out if m.topic == "log" and m.at <= at), default=0)
-        status = Status(robot=f"r{k}", run="run", sensor=sensor, last=seq, clock=0.0, t=at, **pose)
+        status = Status(robot=f"r{k}", run="run", sensor=kind, last=seq, clock=0.0, t=at, **pose)
         out.append(Told(at, "status", status))
     return sorted(out, key=lambda told: told.at)
 
@@ -157,7 +166,7 @@ def measured(sensor: str, robots: int, rate: float, seconds: float) -> Row:
     ]
     every.sort(key=lambda one: one[0])
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, __file__, "--mapping", folder]
+        command = [sys.executable, __file__, "--mapping", folder, *(["--hidden"] if sensor in HIDDEN else [])]
         mapping = subprocess.Popen(command, env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"})
         while not Path(folder, "ready").exists():
             if mapping.poll() is not None:
@@ -277,7 +286,7 @@ def memory(which: str) -> float:
     return int(Path("/proc/self/status").read_text().split(f"{which}:")[1].split()[0])
 
 
-def mapping(folder: Path) -> None:
+def mapping(folder: Path, *, hidden: bool) -> None:
     """The map process under load, until it is terminated."""
     keep_one_blas_thread()
     stop = threading.Event()
@@ -287,7 +296,8 @@ def mapping(folder: Path) -> None:
     with Store(folder / "map.sqlite", "a map of team") as store, session(network, at.append) as opened:
         inbox = Timed(store)
         process = TimedMap("map", opened, Topics("team"), store, inbox, lambda _: None)
-        process.starts = lambda names: starts_among(names, dict.fromkeys(names, (0.0, 0.0, 0.0)), MergeConfig())
+        if not hidden:
+            process.starts = lambda names: starts_among(names, dict.fromkeys(names, (0.0, 0.0, 0.0)), MergeConfig())
         process.join()
         before = time.process_time()
         (folder / "coming").write_text(at[0])
@@ -377,13 +387,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cases", default=CASES)
     parser.add_argument("--seconds", type=float, default=30.0)
+    parser.add_argument("--hidden", action="store_true", help="of --mapping: nobody tells where robots begin")
     for folder in ("--out", "--mapping", "--drawn"):
         parser.add_argument(folder, type=Path)
     given = parser.parse_args()
     if given.drawn is not None:
         drawn(json.loads((given.drawn / "live-load.json").read_text()), given.drawn / "live-load.png")
     elif given.mapping is not None:
-        mapping(given.mapping)
+        mapping(given.mapping, hidden=given.hidden)
     rows: list[Row] = []
     for case in given.cases.split("/") if given.drawn is given.mapping is None else ():
         sensor, numbers, rate = case.split(":")

@@ -35,7 +35,7 @@ from mapweave.exploration.laser.config import LaserExploreConfig
 from mapweave.exploration.laser.frontiers import mapped_ground
 from mapweave.exploration.laser.mission import points_of
 from mapweave.exploration.laser.planner_state import route_to
-from mapweave.exploration.laser.planners import steer
+from mapweave.exploration.laser.planners import candidate_commands, collision_free, steer
 from mapweave.live.transport import LISTENING
 from mapweave.sim.laser import START_NS
 from mapweave.sim.laser_team import LaserRobotsConfig, LaserTeamSim
@@ -43,6 +43,8 @@ from mapweave.sim.laser_worlds import office_floor
 
 CFG = LaserExploreConfig()
 WAY_AGAIN = 4  # steps until the way to a goal is looked for anew: the map has grown
+STUCK = 8  # steps on one spot with a goal
+ASIDE = 5  # steps away from what is near, then
 NOBODY = np.zeros((0, 2))
 START = START_NS / 1e9  # [s]
 
@@ -57,6 +59,8 @@ class Driver:
     to: tuple[int, int] | None = None
     planned: int = -1000
     goals: int = 0
+    still: int = 0
+    aside: int = 0
     errors: list[float] = field(default_factory=list)
 
     def command(self, step: int, points: np.ndarray) -> np.ndarray:
@@ -80,7 +84,18 @@ class Driver:
         target = self.way.target(place.pose[:2], CFG.follower.lookahead)
         if target is None or np.hypot(*(target - place.pose[:2])) < 0.5 * CFG.resolution:
             return np.zeros(2)
-        return steer(place.pose, target, points, np.array(others).reshape(-1, 2), CFG)
+        u = steer(place.pose, target, points, np.array(others).reshape(-1, 2), CFG)
+        self.still = 0 if u[0] else self.still + 1
+        self.aside = ASIDE if self.still >= STUCK else self.aside - 1
+        return away_from(points) if self.aside > 0 else u
+
+
+def away_from(points: np.ndarray) -> np.ndarray:
+    """The way out of a doorway that is too near on one side: the command that ends farthest from everything."""
+    commands, ends = candidate_commands(CFG)
+    free, _ = collision_free(commands, points, CFG.radius + CFG.guard, CFG)
+    room = np.hypot(*(ends[:, None, :2] - points).transpose(2, 0, 1)).min(axis=1) if len(points) else ends[:, 0]
+    return commands[np.argmax(np.where(free, room, -np.inf))]
 
 
 @contextlib.contextmanager
@@ -131,9 +146,9 @@ def explored(robots: int, area: float, rate: float, seconds: float, floor: int =
                 scans = [sim.scan(j) for j in range(robots)]
                 for driver, scan in zip(drivers, scans, strict=True):
                     tell(driver.robot, sim.t, scan)
-                for j, driver in enumerate(drivers):
-                    place = driver.robot.place
-                    if place is not None and place.part == 1:
+                places = [driver.robot.place for driver in drivers]
+                for j, (driver, place) in enumerate(zip(drivers, places, strict=True)):
+                    if None not in {places[0], place} and places[0].part == place.part == 1:  # in the first one's frame
                         off = se2.between(se2.between(starts[0], sim.true_poses[j]), place.pose)
                         driver.errors.append(float(np.hypot(*off[:2])))
                 time.sleep(max(0.0, begin + sim.steps * CFG.period / rate - time.monotonic()))

@@ -166,9 +166,9 @@ class Clocked(LaserWeaver):
         self.clock.aside += time.thread_time() - begin
 
 
-def told(robots: int, seconds: float, rate: float, ways: int, world: int):
+def told(robots: int, seconds: float, rate: float, ways: int, world: int, sensor: str = "laser"):
     """When each message comes, in order, and what it says."""
-    base = [prepared("laser", k, seconds, rate, world) for k in range(1, min(robots, ways) + 1)]
+    base = [prepared(sensor, k, seconds, rate, world) for k in range(1, min(robots, ways) + 1)]
     coming, payloads = [], {}
     for k in range(1, robots + 1):
         for one in base[(k - 1) % len(base)]:
@@ -180,14 +180,14 @@ def told(robots: int, seconds: float, rate: float, ways: int, world: int):
     return sorted(coming), payloads
 
 
-def off(weaver: Clocked, ways: int, world: int) -> list[float]:
+def off(weaver: Clocked, ways: int, world: int, sensor: str = "laser") -> list[float]:
     """How far the closures that hold two robots together are off the truth [m], of each tied pair the median."""
     out = []
     for (a, b), tried in weaver.team.search.tried.items():
         if not tried.merge.merged:
             continue
         sessions = [weaver.team.robots[name].session for name in (a, b)]
-        rounds = [one_round((int(name[1:]) - 1) % ways + 1, world) for name in (a, b)]
+        rounds = [one_round((int(name[1:]) - 1) % ways + 1, world, sensor) for name in (a, b)]
         errors = []
         for c in tried.merge.closures:
             at = []
@@ -208,6 +208,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--robots", type=int, default=50)
     parser.add_argument("--seconds", type=float, default=30.0)
+    parser.add_argument("--sensor", choices=("laser", "scanner"), default="laser", help="see benchmarks/live.py")
     parser.add_argument("--rate", type=float, default=1.0)
     parser.add_argument("--ways", type=int, default=6, help="simulated drives; further robots tell them again")
     parser.add_argument("--world", type=int, default=0, help="seed of the office")
@@ -233,7 +234,7 @@ def main() -> None:
 
 def driven(given: argparse.Namespace, profile: cProfile.Profile | None = None) -> tuple[Clocked, dict]:
     """A weaver after the whole drive, and the processor seconds of its passes."""
-    coming, payloads = told(given.robots, given.seconds, given.rate, given.ways, given.world)
+    coming, payloads = told(given.robots, given.seconds, given.rate, given.ways, given.world, given.sensor)
     gc.collect()
     clock = Clock()
     laser_weaver.time = clock
@@ -282,7 +283,7 @@ def tell(weaver: Clocked, passes: dict[str, list[float]], given: argparse.Namesp
     t, tied = np.array(weaver.tied).T
     ends = given.seconds * np.arange(1, 7) / 6
     each = ", ".join(f"{int(tied[: np.searchsorted(t, end)].max(initial=0))} by {end:.0f} s" for end in ends)
-    wrong = np.array(off(weaver, given.ways, given.world))
+    wrong = np.array(off(weaver, given.ways, given.world, given.sensor))
     most = f", their closures up to {np.nanmax(wrong):.2f} m off" if len(wrong) else ""
     print(f"tied over time: {each}; {len(wrong)} pairs{most}, {np.sum(wrong > WRONG)} of them wrong")
 

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..core.records import Event
+from ..core import se2
+from ..core.records import Event, Scan
 from ..laser.beam import Beams
 from ..laser.keyframes import Keyframe
 from ..laser.robot_graph import RobotGraph
@@ -18,6 +19,9 @@ from ..mapping.keyframe_graph import KeyframeGraph
 from ..mapping.session import LaserSession
 
 NO_POINTS = np.zeros((0, 2))
+FOLLOWED_STEP = 0.15  # [m] of odometry from a scan that is followed to the next of the same scanner: half a keyframe's
+FOLLOWED_TURN = 0.15  # [rad] of it, the same
+FOLLOWED_EVERY = 0.5  # [s] from one to the next, however little a robot moves
 
 
 class Seen(NamedTuple):
@@ -30,7 +34,9 @@ class Seen(NamedTuple):
 class DrivenSession(LaserSession):
     """The estimate of `map --method graph` by geometry, of which only keyframes keep their returns.
 
-    It is the same estimate scan by scan; what it does not serve for is `finalise`, which lays every scan. Keyframes are
+    It is the same estimate scan by scan, of those scans that show something new: where odometry tells of less than
+    `FOLLOWED_STEP` and `FOLLOWED_TURN` since the last one, within `FOLLOWED_EVERY`, a scan is passed over. What it does
+    not serve for is `finalise`, which lays every scan. Keyframes are
     known to others by the number of their scan, which never changes, while in places known well they leave the graph
     and the later ones move up. left: what those saw that left since `left` was emptied last.
     """
@@ -38,10 +44,13 @@ class DrivenSession(LaserSession):
     def __init__(self, robot: str, cfg: LaserConfig, seed: int = 0) -> None:
         super().__init__(robot, cfg, seed)
         self.left: dict[int, Seen] = {}
+        self._followed: dict[bytes, tuple[float, np.ndarray]] = {}  # by the scanner's place: stamp [s], odometry
         self._kept = 0  # scans before this one are let go, but for keyframes
 
     def push(self, event: Event) -> ScanInfo | None:
-        """As ever; what earlier scans brought and nothing asks for any more is let go."""
+        """As ever, None of a scan that is passed over; what earlier scans brought and nothing asks for is let go."""
+        if isinstance(event.record, Scan) and not self._follows(event.t, event.record):
+            return None
         before = self._state()
         nodes, gone = ([], 0) if before is None else (before.graph.nodes, len(before.revisits))
         info = super().push(event)
@@ -63,6 +72,20 @@ class DrivenSession(LaserSession):
                 break
             nodes[k] = nodes[k]._replace(beams=_lean(nodes[k].beams))
         return info
+
+    def _follows(self, t: float, scan: Scan) -> bool:
+        """Whether the robot has moved, or time has passed, since the last scan of this scanner that was followed."""
+        if scan.odometry is None:
+            return True
+        where = scan.T_robot_sensor.tobytes()
+        if where in self._followed:
+            before, odometry = self._followed[where]
+            moved = se2.between(odometry, scan.odometry)
+            near = np.hypot(*moved[:2]) < FOLLOWED_STEP and abs(float(moved[2])) < FOLLOWED_TURN
+            if near and t < before + FOLLOWED_EVERY:
+                return False
+        self._followed[where] = t, np.array(scan.odometry)
+        return True
 
     @property
     def unneeded(self) -> range:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ..core.records import Scan
 from ..laser.laser_map import GridMap
 from ..laser.occupancy_mapper import render_keyframes
 from ..mapping.config import LaserConfig
@@ -14,7 +15,8 @@ from .messages import Header, Numbered, Snapshot
 class LaserRobot:
     """The estimate of one robot after the messages so far, by geometry: light is calibrated when the log is whole.
 
-    t: [s] of it; odometry: `T_odom_robot` (3,) at the latest scan; None before it, or without any.
+    t: [s] of it, the stamp of the latest scan that is in it; odometry: `T_odom_robot` (3,) there; None before it, or
+    without any.
     """
 
     def __init__(self, header: Header, cfg: LaserConfig, seed: int = 0) -> None:
@@ -33,12 +35,10 @@ class LaserRobot:
         part = self.record.add(message)
         if part is None:
             return
-        if part.scans:
-            self.odometry = part.scans[-1].odometry
         for event in part.events():
-            self._session.push(event)
+            if self._session.push(event) is not None and isinstance(event.record, Scan):
+                self.t, self.odometry = event.t, event.record.odometry
             self._session.left.clear()
-            self.t = event.t if self.t is None else max(self.t, event.t)
 
     def status(self) -> tuple[tuple[float, ...], tuple[float, ...], int]:
         """`T_local_robot`, the upper triangle of its covariance, how many landmarks there are: none."""
