@@ -15,6 +15,7 @@ the robots of its largest part at the end.
 """
 
 import argparse
+import itertools
 import json
 import os
 import signal
@@ -41,15 +42,18 @@ from mapweave.io.landmark_logs import read_landmark_logs
 from mapweave.io.mrclam import write_mrclam
 from mapweave.landmarks.config import EkfSlamConfig
 from mapweave.live import inbox as inboxes
+from mapweave.live.door import MOST_BEAMS
 from mapweave.live.landmark_robot import LandmarkRobot
 from mapweave.live.map_process import MapProcess
-from mapweave.live.messages import Header, Message, Status, encode
+from mapweave.live.messages import LARGEST, Header, MapState, Message, ScanBeams, Scans, Status, encode
 from mapweave.live.robot import pause_after
 from mapweave.live.sources import messages
+from mapweave.live.squeezed import squeeze
 from mapweave.live.store import Store
 from mapweave.live.tiles import SIDE
 from mapweave.live.topics import Topics
 from mapweave.live.transport import Network, put, session
+from mapweave.live.warm import compile_kernels
 from mapweave.mapping.merge_search import MergeConfig
 from mapweave.sim.landmarks import TeamWorld, simulate_team
 from mapweave.sim.laser import DriveConfig, Scanner, drive
@@ -149,8 +153,11 @@ def renamed(message: Message, name: str, number: int) -> bytes:
     )
 
 
-def measured(sensor: str, robots: int, rate: float, seconds: float) -> Row:
-    """One run of `robots` robots, which begin within a second of each other as real ones would."""
+def measured(sensor: str, robots: int, rate: float, seconds: float, *, flood: bool = False) -> Row:
+    """One run of `robots` robots, which begin within a second of each other as real ones would.
+
+    flood: a stranger, in a process of its own, tells whatever takes room, as fast as it can.
+    """
     ways = min(robots, WAYS[sensor])
     base = [prepared(sensor, k, seconds, rate) for k in range(1, ways + 1)]
     every = [
@@ -173,8 +180,12 @@ def measured(sensor: str, robots: int, rate: float, seconds: float) -> Row:
                 raise SystemExit("the map process did not begin")
             time.sleep(0.1)
         at = Path(folder, "ready").read_text()
+        stranger = subprocess.Popen([sys.executable, __file__, "--flooding", at]) if flood else None
         sent = told_by_all(every, robots, at)
         time.sleep(3.0)
+        if stranger is not None:
+            stranger.kill()
+            stranger.wait()
         mapping.terminate()
         mapping.wait()
         found = json.loads(Path(folder, "placed.json").read_text())
@@ -202,7 +213,32 @@ def measured(sensor: str, robots: int, rate: float, seconds: float) -> Row:
         "tied": found["tied"],
         "load_before": os.getloadavg()[2],
         "over_time": found["over_time"],
+        "refused": found["refused"],
     }
+
+
+def flooding(at: str) -> None:
+    """Without end: nonsense of a megabyte, invented robots and maps, numbers far ahead, scans of 20,000 beams."""
+    beams = squeeze(np.full(MOST_BEAMS, 5.0))
+    scan = ScanBeams(
+        t=1.0, n=MOST_BEAMS, ranges=beams, hit=b"\xff" * (MOST_BEAMS // 8), light=None, angle_min=0.0,
+        angle_increment=3e-4, range_max=10.0, mount=(0.0, 0.0, 0.0), host="", odometry=(0.0, 0.0, 0.0),
+    )  # fmt: skip
+    first = {"run": "a", "sensor": "laser", "source": "", "odometry": True}
+    junk, topics = np.random.default_rng(1).bytes(LARGEST), Topics("team")
+    where = {"pose": (0.0, 0.0, 0.0), "cov": (1.0, 0.0, 0.0, 1.0, 0.0, 1.0)}
+    with session(Network(connect=(at,), extra={"mode": "router"})) as opened:
+        for k in itertools.count():
+            name = f"s{k % 5000}"
+            put(opened, topics.log(name), junk)
+            put(opened, topics.log(name), encode(Header(robot=name, log_robot=f"robot{1000 + k % 5000}", **first)))
+            scans = [msgspec.structs.replace(scan, t=float(k + j)) for j in range(20)]
+            for seq in (1, 1 + k // 5000, 2 + k):
+                put(opened, topics.log(name), encode(Scans(robot=name, run="a", seq=seq, scans=scans)))
+            status = Status(robot=name, run="a", sensor="laser", last=1 << 40, clock=0.0, t=0.0, **where)
+            put(opened, topics.status(name), encode(status))
+            state = MapState(map=name, clock=0.0, fused=1, robots=[], landmarks=[], decisions=["x" * 4000] * 200)
+            put(opened, topics.map_state(name), encode(state))
 
 
 def in_the_map(mapped: list, sent: dict[tuple[str, int], float]) -> dict[tuple[str, int], float]:
@@ -244,8 +280,8 @@ class Timed(inboxes.Inbox):
         self.fresh: list[tuple[str, int]] = []
         super().__init__(store)
 
-    def _work_in(self, ledger, payload) -> None:
-        super()._work_in(ledger, payload)
+    def _work_in(self, ledger, fresh, seq) -> None:
+        super()._work_in(ledger, fresh, seq)
         self.fresh.append((ledger.robot, ledger.next - 1))
 
     def save(self) -> None:
@@ -312,30 +348,15 @@ def mapping(folder: Path, *, hidden: bool) -> None:
         "memory_kB": memory("VmHWM"),
         "tied": largest.count(1),
         "over_time": process.over_time,
+        "refused": process.state().refused,
     }
     (folder / "placed.json").write_text(json.dumps(told))
 
 
 def warmed() -> None:
     """Kernels are there: what a first run compiles is no part of the load."""
-    from mapweave.live.laser_team import LiveLaserTeam, nobody
-    from mapweave.mapping.config import LaserConfig
-
-    with tempfile.TemporaryDirectory() as folder, Store(Path(folder, "s"), "a map") as store:
-        made = [prepared("laser", k, 25.0, 1.0) for k in (1, 2)]
-        for k, told in enumerate(made, 1):
-            logged = [t.message for t in told if t.topic == "log"]
-            store.put([(f"r{k}", m.seq, renamed(m, f"r{k}", k)) for m in logged])
-        team = LiveLaserTeam(store, LaserConfig(method="graph", threads=1), nobody)
-        while team.follow({f"r{k}": 20 for k in (1, 2)}):
-            pass
-        trial = team.trial()
-        if trial is not None:
-            team.search.decided(trial, trial.run())
-        weaving = team.weaving()
-        if weaving is not None:
-            team.take(weaving.run())
-            team.draw({})
+    with tempfile.TemporaryDirectory() as folder:
+        compile_kernels(Path(folder, "s"))
 
 
 def table(rows: list[Row]) -> str:
@@ -387,6 +408,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cases", default=CASES)
     parser.add_argument("--seconds", type=float, default=30.0)
+    parser.add_argument("--flood", action="store_true", help="a stranger tells whatever takes room meanwhile")
+    parser.add_argument("--flooding", help="be that stranger, of the team at this endpoint")
     parser.add_argument("--hidden", action="store_true", help="of --mapping: nobody tells where robots begin")
     for folder in ("--out", "--mapping", "--drawn"):
         parser.add_argument(folder, type=Path)
@@ -395,11 +418,13 @@ def main() -> None:
         drawn(json.loads((given.drawn / "live-load.json").read_text()), given.drawn / "live-load.png")
     elif given.mapping is not None:
         mapping(given.mapping, hidden=given.hidden)
+    elif given.flooding is not None:
+        flooding(given.flooding)
     rows: list[Row] = []
     for case in given.cases.split("/") if given.drawn is given.mapping is None else ():
         sensor, numbers, rate = case.split(":")
         for robots in map(int, numbers.split(",")):
-            rows.append(measured(sensor, robots, float(rate), given.seconds))
+            rows.append(measured(sensor, robots, float(rate), given.seconds, flood=given.flood))
             told = {name: value for name, value in rows[-1].items() if name != "over_time"}
             print(json.dumps(told), file=sys.stderr, flush=True)
     print(table(rows) if rows else "")

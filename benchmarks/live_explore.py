@@ -148,7 +148,8 @@ def explored(robots: int, area: float, rate: float, seconds: float, floor: int =
                     tell(driver.robot, sim.t, scan)
                 places = [driver.robot.place for driver in drivers]
                 for j, (driver, place) in enumerate(zip(drivers, places, strict=True)):
-                    if None not in {places[0], place} and places[0].part == place.part == 1:  # in the first one's frame
+                    there = place is not None and places[0] is not None
+                    if there and places[0].part == place.part == 1:  # in the first one's frame
                         off = se2.between(se2.between(starts[0], sim.true_poses[j]), place.pose)
                         driver.errors.append(float(np.hypot(*off[:2])))
                 time.sleep(max(0.0, begin + sim.steps * CFG.period / rate - time.monotonic()))

@@ -14,6 +14,7 @@ from ..core.errors import EstimateError, UsageError
 from ..core.names import in_order
 from ..io.directory import check_target
 from ..live.transport import LISTENING
+from ..live.warm import compile_kernels
 from .simulate import simulate_landmarks
 
 Say = Callable[[str], None]
@@ -66,6 +67,9 @@ def live_demo(
     stop = stop or Event()
     with tempfile.TemporaryDirectory(prefix="mapweave-live-") as home, ExitStack() as ending:
         folder = Path(home)
+        if world == "office":
+            say("kernels are compiled first, for a minute or more where that was never done on this machine")
+            compile_kernels(folder / "compiled.sqlite")
         source, rate = "sim:office", OFFICE_SECONDS / seconds
         names = [f"r{k}" for k in range(1, robots + 1)]
         docked = [f"--start={name}=0,0,0" for name in names] if world == "office" else []

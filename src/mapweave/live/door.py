@@ -269,7 +269,7 @@ def _states(state: MapState) -> None:
     _counts(state.refused)
     for robot in state.robots:
         _names(robot.robot)
-        _texts(robot.run, robot.log_robot, robot.sensor)
+        _texts(robot.run, robot.log_robot, robot.sensor, robot.doing)
         _expect(0 <= robot.have <= MOST_MESSAGES and -1 <= robot.last <= MOST_MESSAGES, "numbers of messages")
         _expect(0 <= robot.component <= MOST_ROBOTS, "a part")
         _within(GREATEST, "a rate", robot.rate)

@@ -28,6 +28,7 @@ from .landmark_stream import LandmarkRecord
 from .laser_team import Starts, WovenTeam, nobody
 from .laser_weaver import LaserWeaver
 from .messages import LARGEST, MapState, Numbers, RefusedError, RobotState, Snapshot, count, encode
+from .placed import Placed
 from .shared_map import Fused, SharedMap
 from .store import Store
 from .topics import LEVEL, Topics
@@ -168,6 +169,7 @@ STATE_EVERY = 1.0  # [s], and as soon as landmark robots are fused
 CLOCK_EVERY = 5.0  # [s]
 FUSED = 0.25  # of the time between two solutions of laser robots: how often landmark robots are fused at most
 FUSING_REST = 0.25  # the time without fusing is at least so many times what fusing took
+BEHIND = 10  # messages of a robot that are missing, or not worked in: beyond, it catches up
 TELL_CLOCK = 1.0  # [s] that a clock is off before it is told
 
 REST = 5.0  # [s] before a thread that died is started again
@@ -498,7 +500,25 @@ class MapProcess:
             offset_error=error,
             refused=dict(ledger.refused),
             doubled=ledger.doubled,
+            doing=self._doing(ledger, placed),
         )
+
+    def _doing(self, ledger: Ledger, placed: Placed | None) -> str:
+        """What the robot is up to as far as is known here, in a word or two."""
+        woven = self._woven
+        worked = ledger.next if woven is None else woven.worked.get(ledger.robot, ledger.next)
+        lost = ledger.fault or (woven is not None and ledger.robot in woven.lost)
+        parts = [p.component for p in self.shared.placed.values()]
+        first = (
+            ("is lost", lost),
+            ("has finished", ledger.complete),
+            ("is gone", not ledger.there),
+            ("compiles", self._weaver is not None and woven is None),
+            ("waits", placed is None),
+            ("catches up", ledger.missing > BEHIND or ledger.next - worked > BEHIND),
+            ("stands alone", placed is not None and len(parts) > 1 and parts.count(placed.component) == 1),
+        )
+        return next((word for word, so in first if so), "drives")
 
     def tell_state(self) -> None:
         """Everybody hears how the map stands, who is there and what it has."""

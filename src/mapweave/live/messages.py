@@ -165,7 +165,7 @@ class RobotState(msgspec.Struct, frozen=True, kw_only=True):
     """What a map process knows of a robot. pose: `T_map_robot` or nothing; component: 1 is the largest.
 
     frame: `T_map_local`, where the robot's own frame stands, or nothing. have: messages held without a gap; last:
-    newest it is known to have told; offset: its clock minus the map's [s], within `offset_error`.
+    newest it is known to have told; offset: its clock minus the map's [s], within `offset_error`; doing: in a word.
     """
 
     robot: str
@@ -186,6 +186,7 @@ class RobotState(msgspec.Struct, frozen=True, kw_only=True):
     offset_error: float | None = None
     refused: dict[str, int] = {}
     doubled: int = 0
+    doing: str = ""
 
 
 class LandmarkState(msgspec.Struct, frozen=True, kw_only=True):
