@@ -1,5 +1,6 @@
 """The network is late or breaks off, clocks are apart, disks full, processes die: the map is the same."""
 
+import signal
 import subprocess
 import sys
 import threading
@@ -11,6 +12,7 @@ import pytest
 from mapweave.api.live import live_map, live_robot
 from mapweave.api.simulate import simulate_landmarks
 from mapweave.cli import _run
+from mapweave.live import robot as robot_module
 from mapweave.live.transport import Network
 
 from .bad_network import LossyRelay, Relay, ip, lossy, two_namespaces
@@ -208,6 +210,89 @@ def test_a_second_robot_of_one_name_is_refused_at_once(fleet):
     )
     assert fleet.wait("twin") == 2
     assert "a robot of that name is in team team already" in fleet.said("twin")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seconds", [8.0, pytest.param(30.0, marks=pytest.mark.long)])
+def test_a_map_process_that_stands_still_for_a_while_changes_nothing(fleet, direct, seconds):
+    fleet.map()
+    fleet.robot("r1", rate="6")
+    fleet.robot("r2", rate="6")
+    fleet.hears("map", "r2: joined")
+    fleet.running["map"].send_signal(signal.SIGSTOP)
+    time.sleep(seconds)  # longer than the lease: robots take it for gone
+    fleet.running["map"].send_signal(signal.SIGCONT)
+    assert fleet.wait("map") == 0, fleet.said("map")
+    same_result(direct, fleet.folder / "out-map")
+
+
+class Jumping:
+    """A clock that is set by up to an hour, to and fro, whenever it is asked."""
+
+    def __init__(self, seed):
+        self.rng = np.random.default_rng(seed)
+
+    def __call__(self):
+        return time.time() + float(self.rng.uniform(-3600.0, 3600.0))
+
+
+class Mixing:
+    """What a robot says goes out twice, late and in another order, or not at all, by the draws of `seed`."""
+
+    def __init__(self, put, seed):
+        self.put, self.rng, self.lock = put, np.random.default_rng(seed), threading.Lock()
+        self.held, self.counts = [], {"lost": 0, "twice": 0, "late": 0}
+
+    def __call__(self, where, key, payload):
+        with self.lock:
+            draw = self.rng.random()
+            if draw < 0.2:
+                self.counts["lost"] += 1
+                return
+            out = [(where, key, payload)]
+            if draw < 0.4:
+                self.counts["twice"] += 1
+                out *= 2
+            if draw > 0.7:
+                self.counts["late"] += 1
+                self.held += out
+                out = []
+            if len(self.held) > 10:
+                self.rng.shuffle(self.held)
+                out, self.held = [*out, *self.held], []
+        for one in out:
+            self.put(*one)
+
+
+@pytest.mark.slow
+def test_messages_lost_told_twice_and_in_any_order_by_jumping_clocks_give_the_same_map(
+    tmp_path, source, direct, monkeypatch
+):
+    mixing = Mixing(robot_module.put, 5)
+    monkeypatch.setattr(robot_module, "put", mixing)
+    at, stop = (free_endpoint(),), threading.Event()
+    robots = [
+        threading.Thread(
+            target=live_robot,
+            args=(name, source),
+            kwargs={
+                "rate": 8.0, "network": Network(connect=at), "history": tmp_path / name, "stop": stop,
+                "say": lambda _: None, "wall": Jumping(k),
+            },
+        )
+        for k, name in enumerate(("r1", "r2"))
+    ]  # fmt: skip
+    for robot in robots:
+        robot.start()
+    try:
+        hears = {"network": Network(listen=at), "say": lambda _: None, "wall": Jumping(9)}
+        live_map(tmp_path / "out", robots=["r1", "r2"], **hears)
+    finally:
+        stop.set()
+        for robot in robots:
+            robot.join()
+    assert min(mixing.counts.values()) > 10
+    same_result(direct, tmp_path / "out")
 
 
 @pytest.mark.long
