@@ -174,6 +174,7 @@ def measured(sensor: str, robots: int, rate: float, seconds: float, *, flood: bo
     every.sort(key=lambda one: one[0])
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, __file__, "--mapping", folder, *(["--hidden"] if sensor in HIDDEN else [])]
+        command += ["--expected", ",".join(f"r{k}" for k in range(1, robots + 1))] if flood else []
         mapping = subprocess.Popen(command, env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"})
         while not Path(folder, "ready").exists():
             if mapping.poll() is not None:
@@ -275,10 +276,10 @@ def told_by_all(every: list, robots: int, at: str) -> dict[tuple[str, int], floa
 class Timed(inboxes.Inbox):
     """An inbox that notes when each message was in its place and on disk."""
 
-    def __init__(self, store: Store) -> None:
+    def __init__(self, store: Store, expected: list[str] | None) -> None:
         self.placed: list[tuple[str, int, float]] = []
         self.fresh: list[tuple[str, int]] = []
-        super().__init__(store)
+        super().__init__(store, expected)
 
     def _work_in(self, ledger, fresh, seq) -> None:
         super()._work_in(ledger, fresh, seq)
@@ -322,15 +323,15 @@ def memory(which: str) -> float:
     return int(Path("/proc/self/status").read_text().split(f"{which}:")[1].split()[0])
 
 
-def mapping(folder: Path, *, hidden: bool) -> None:
-    """The map process under load, until it is terminated."""
+def mapping(folder: Path, *, hidden: bool, expected: list[str] | None = None) -> None:
+    """The map process under load, until it is terminated; expected: robots that it hears, all when None."""
     keep_one_blas_thread()
     stop = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
     warmed()
     network, at = Network(listen=("tcp/127.0.0.1:0",)), list[str]()
     with Store(folder / "map.sqlite", "a map of team") as store, session(network, at.append) as opened:
-        inbox = Timed(store)
+        inbox = Timed(store, expected)
         process = TimedMap("map", opened, Topics("team"), store, inbox, lambda _: None)
         if not hidden:
             process.starts = lambda names: starts_among(names, dict.fromkeys(names, (0.0, 0.0, 0.0)), MergeConfig())
@@ -410,6 +411,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--flood", action="store_true", help="a stranger tells whatever takes room meanwhile")
     parser.add_argument("--flooding", help="be that stranger, of the team at this endpoint")
+    parser.add_argument("--expected", help="of --mapping: the robots that are heard")
     parser.add_argument("--hidden", action="store_true", help="of --mapping: nobody tells where robots begin")
     for folder in ("--out", "--mapping", "--drawn"):
         parser.add_argument(folder, type=Path)
@@ -417,7 +419,7 @@ def main() -> None:
     if given.drawn is not None:
         drawn(json.loads((given.drawn / "live-load.json").read_text()), given.drawn / "live-load.png")
     elif given.mapping is not None:
-        mapping(given.mapping, hidden=given.hidden)
+        mapping(given.mapping, hidden=given.hidden, expected=given.expected and given.expected.split(","))
     elif given.flooding is not None:
         flooding(given.flooding)
     rows: list[Row] = []

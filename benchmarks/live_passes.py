@@ -1,6 +1,6 @@
 """What a map process of N laser robots does while they drive, without a network: processor time of its passes.
 
-    python benchmarks/live_passes.py [--robots 50] [--seconds 30] [--rate 1] [--ways 6] [--world 0] [--apart | --table]
+    python benchmarks/live_passes.py [--robots 50] [--seconds 30] [--world 0] [--apart | --table | --scanners]
 
 The weaver of a map process runs on a clock of its own, which stands still but for what it computes and what it waits
 for, so that other work on the machine changes nothing: a message is there when this clock says so, and what takes place
@@ -215,11 +215,12 @@ def main() -> None:
     parser.add_argument("--apart", action="store_true", help="nobody says where the robots start from")
     parser.add_argument("--profile", action="store_true", help="where the time goes, by function")
     parser.add_argument("--table", action="store_true", help="ties in two offices, with starts told and without")
+    parser.add_argument("--scanners", action="store_true", help="what robots with a `--sensor scanner` cost")
     given = parser.parse_args()
     keep_one_blas_thread()
     warmed()
-    if given.table:
-        table(given)
+    if given.table or given.scanners:
+        (table if given.table else scanners)(given)
         return
     profile = cProfile.Profile() if given.profile else None
     weaver, passes = driven(given, profile)
@@ -262,6 +263,34 @@ def table(given: argparse.Namespace) -> None:
             tries, cores = len(passes["PairTrial"]), sum(map(sum, passes.values())) / given.seconds
             row = [str(world), "unknown" if apart else "told", *each, str(tries), str(len(wrong))]
             print(f"| {' | '.join([*row, str(int(np.sum(wrong > WRONG))), f'{cores:.2f} cores'])} |", flush=True)
+
+
+def scanners(given: argparse.Namespace) -> None:
+    """Markdown: what robots of real scanners cost, whose starts nobody tells."""
+    head = [
+        "robots",
+        "told by each",
+        "processor a robot-minute",
+        "cores",
+        "in the map, p50",
+        "p99",
+        "memory",
+        "in one map",
+    ]
+    print(f"| {' | '.join(head)} |", "|---" * len(head) + "|", sep="\n")
+    for robots in (1, 5, 10, 20, 50):
+        case = argparse.Namespace(**{**vars(given), "robots": robots, "sensor": "scanner", "apart": True})
+        weaver, passes = driven(case)
+        spent, late = sum(map(sum, passes.values())), np.array(weaver.late)
+        told_kB = sum(map(len, weaver.payloads.values())) / 1e3 / robots / given.seconds
+        parts = [p.component for p in weaver.newest.placed.values()]
+        grown = (max(kB for _, kB in weaver.grown) - weaver.before) / 1024
+        each, cores = spent / (robots * given.seconds / 60), spent / given.seconds
+        print(
+            f"| {robots} | {told_kB:.1f} kB/s | {each:.2f} s | {cores:.2f} |"
+            f" {np.median(late):.2f} s | {np.quantile(late, 0.99):.2f} s | {grown:.0f} MB | {parts.count(1)} |",
+            flush=True,
+        )
 
 
 def tell(weaver: Clocked, passes: dict[str, list[float]], given: argparse.Namespace) -> None:

@@ -11,4 +11,4 @@ def test_a_flooding_stranger_takes_no_memory_and_costs_honest_robots_nothing_the
     told = load.measured("laser", 10, 1.0, 10.0, flood=True)
     assert told["memory_MB"] < 500
     assert told["lost"] == 0
-    assert any("let go" in reason or reason == "oversized" for reason in told["refused"])
+    assert told["refused"]["not expected"] > 100

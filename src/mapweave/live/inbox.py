@@ -152,6 +152,9 @@ class Inbox:
     def offer(self, speaker: str, payload: bytes, now: float) -> None:
         """Take in a message under the key of `speaker`; what cannot be used is counted and told, never raised."""
         try:
+            self._expect(speaker)  # before it costs to read what it says
+            if speaker not in self.ledgers and len(self.ledgers) >= STATED:
+                self._make_room()
             self._take(speaker, decode(payload), payload, now)
         except RefusedError as refused:
             self._count(speaker, refused)
@@ -176,7 +179,6 @@ class Inbox:
             raise RefusedError("malformed", f"a {type(message).__name__} from a robot")
         if message.robot != speaker:
             raise RefusedError("forged name", f"{message.robot!r} under the key of {speaker!r}")
-        self._expect(speaker)
         ledger = self._ledger(speaker, message.run)
         match message:
             case Status():

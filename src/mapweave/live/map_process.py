@@ -11,7 +11,7 @@ from functools import partial
 from queue import Empty, Full, Queue
 from threading import Event, Lock
 from time import monotonic
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from .messages import LARGEST, MapState, Numbers, RefusedError, RobotState, Snap
 from .placed import Placed
 from .shared_map import Fused, SharedMap
 from .store import Store
+from .told import MOST_MAPS
 from .topics import LEVEL, Topics
 from .transport import (
     MOST_ANSWERS,
@@ -162,7 +163,8 @@ class Intake:
         return idle is not None
 
 
-MOST_OTHER = 2_000  # tokens, clocks and states of maps not worked in yet: all of them are told again
+MOST_OTHER = 2_000  # tokens and clocks not worked in yet: all of them are told again
+WORKED = 0.2  # [s] that messages are worked in before other things have their turn
 TICK = 0.05  # [s]
 SWITCH = 0.0005  # [s] between threads: who follows robots comes back from each kernel to one who searches
 STATE_EVERY = 1.0  # [s], and as soon as landmark robots are fused
@@ -185,6 +187,19 @@ class _Heard:
 
     messages: Intake = field(default_factory=Intake)
     other: Queue[Callable[[], object]] = field(default_factory=lambda: Queue(MOST_OTHER))
+    _states: dict[str, bytes] = field(default_factory=dict)  # the newest of each map process
+    _lock: Any = field(default_factory=Lock)
+
+    def put_state(self, name: str, payload: bytes) -> None:
+        """What a map process says takes the place of what it said before; beyond `MOST_MAPS` it is let go."""
+        with self._lock:
+            if name in self._states or len(self._states) < MOST_MAPS:
+                self._states[name] = payload
+
+    def taken_states(self) -> list[tuple[str, bytes]]:
+        with self._lock:
+            taken, self._states = self._states, {}
+            return list(taken.items())
 
     def do(self, what: Callable[[], object]) -> None:
         """`what` is done in its turn; beyond `MOST_OTHER` it is let go, and comes again."""
@@ -220,7 +235,7 @@ class MapProcess:
         self._remembering: tuple[str, Future[Snapshot | None]] | None = None
         self._ended = False
         self._fusing: tuple[float, Future[Fused]] | None = None  # since when [s]
-        self._fuse_due = float("-inf")
+        self._fuse_due = self._hearsay_due = float("-inf")
         self.clocks: dict[str, ClockOffset] = {}
         self.findings: dict[str, None] = {}
         self._anew: dict[str, int] = {}  # how often each robot's history was put right, as the weaver knows it
@@ -304,11 +319,13 @@ class MapProcess:
             except Empty:
                 break
             self._safely("working in what was heard", do)
-        for _ in range(5000):
-            waiting = self._heard.messages.take()
-            if waiting is None:
-                break
+        end = time.monotonic() + WORKED
+        while time.monotonic() < end and (waiting := self._heard.messages.take()) is not None:
             self.inbox.offer(*waiting, now)
+        if now >= self._hearsay_due:
+            self._hearsay_due = now + STATE_EVERY
+            for name, payload in self._heard.taken_states():
+                self._hearsay(name, payload)
         try:
             self.inbox.save()
             self._disk_told = False
@@ -558,12 +575,16 @@ class MapProcess:
 
     def _hear_map(self, sample: Sample) -> None:
         """Another map process may know robots that have left."""
+        if len(sample.payload) <= LARGEST:
+            self._heard.put_state(self._topics.map_of(str(sample.key_expr)), sample.payload.to_bytes())
+
+    def _hearsay(self, name: str, payload: bytes) -> None:
         try:
-            state = decode(sample.payload.to_bytes())
+            state = decode(payload)
         except RefusedError:
             return
-        if isinstance(state, MapState) and state.map == self._topics.map_of(str(sample.key_expr)):
-            self._heard.do(lambda: self.inbox.hearsay(state.robots, time.monotonic()))
+        if isinstance(state, MapState) and state.map == name:
+            self.inbox.hearsay(state.robots, time.monotonic())
 
     def _robot_there(self, sample: Sample) -> None:
         robot, there = self._topics.robot_of(str(sample.key_expr)), sample.kind == SampleKind.PUT

@@ -161,6 +161,7 @@ def settings(network: Network) -> dict[str, object]:
         "transport/unicast/open_timeout": OPENING,
         "transport/unicast/accept_timeout": OPENING,
         "transport/link/rx/max_message_size": 1 << 24,
+        "transport/shared_memory/enabled": False,  # 18 MB of each process on this machine, in every other one
     }
     if network.tls is not None:
         from .credentials import tls_settings  # noqa: PLC0415  (only where asked for)
