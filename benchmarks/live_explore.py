@@ -1,6 +1,6 @@
 """Simulated robots of a live team drive where `live explore` sends them: how far they get, and what they are told.
 
-    python benchmarks/live_explore.py [--robots 1,2,4] [--area 150] [--rate 2] [--seconds 300] [--floor 0]
+    python benchmarks/live_explore.py [--robots 1,2,4] [--area 150] [--rate 2] [--seconds 240] [--floor 0]
 
 The map process is a process of its own. Robots stand in one office and are `LiveLaser`s of this one: each tells a scan
 of 360 beams every half second of driving, asks for its place, its goal and the map (cells of 0.2 m), and takes the next
@@ -198,7 +198,7 @@ def main() -> None:
     parser.add_argument("--robots", default="1,2,4")
     parser.add_argument("--area", type=float, default=150.0, help="of the office [m^2]")
     parser.add_argument("--rate", type=float, default=2.0, help="seconds of driving in one by the clock")
-    parser.add_argument("--seconds", type=float, default=300.0, help="of driving at most")
+    parser.add_argument("--seconds", type=float, default=240.0, help="of driving at most")
     parser.add_argument("--floor", type=int, default=0, help="seed of the office")
     parser.add_argument("--say", action="store_true", help="print the goals too")
     given = parser.parse_args()
