@@ -15,6 +15,7 @@ from ..core.records import Scan
 from .beam import Beams
 from .scan_matching import FrontEndConfig
 from .scan_odometry import ScanInfo, ScanOdometry
+from .wheel_worth import WheelWorth
 
 STEP_NOISE_TRUST = 2.0  # [-] what one scan's information on its place counts, its returns not being independent
 STEP_NOISE_BLUR = 0.02  # [-] share of the information across lines that noise in their normals feigns along them
@@ -124,11 +125,11 @@ class KeyframeMaker:
     """Keyframes along one robot's path, each with the covariance of the step to it. `advance` and `keyframe` change it.
 
     robot: its number in the team; local: (3,) the latest pose in the robot's own frame; step: (3,) the latest motion;
-    path: [m] driven; last: the latest keyframe.
+    path: [m] driven; last: the latest keyframe; worth: what is known of its wheels, None: they are as any.
     """
 
-    def __init__(self, robot: int, cfg: KeyframeConfig) -> None:
-        self.robot, self.cfg = robot, cfg
+    def __init__(self, robot: int, cfg: KeyframeConfig, worth: WheelWorth | None = None) -> None:
+        self.robot, self.cfg, self.worth = robot, cfg, worth
         self.local, self.step, self.path = np.zeros(3), np.zeros(3), 0.0
         self.last: Keyframe | None = None
         self._lines = np.zeros((3, 3))  # information of the walls on the latest pose
@@ -145,7 +146,8 @@ class KeyframeMaker:
     def covariance(self) -> Float[np.ndarray, "3 3"]:
         """Of the latest pose seen from the last keyframe, over x, y, theta of the latest robot frame."""
         path = 0.0 if self.last is None else self.last.path
-        return step_covariance(self._lines, self._wheels, self.path - path, self.cfg.noise)
+        wheels = self._wheels if self.worth is None else self.worth.scaled(self._wheels)
+        return step_covariance(self._lines, wheels, self.path - path, self.cfg.noise)
 
     def keyframe(
         self, t: float, b: Beams, border: str = "", weak: Float[np.ndarray, "3 3"] | None = None
@@ -170,12 +172,16 @@ class KeyframeMaker:
 class KeyframeOdometry:
     """One robot's scan odometry that hands out keyframes. `advance` and `keyframe` change it.
 
-    odometry: its trajectory; maker: its keyframes; status: what came of the last scan.
+    odometry: its trajectory; maker: its keyframes; status: what came of the last scan; worth: what is learned of its
+    wheels, None: they are as any.
     """
 
-    def __init__(self, robot: int, cfg: KeyframeConfig, front_end: FrontEndConfig, feature: str = "none") -> None:
-        self.maker = KeyframeMaker(robot, cfg)
-        self.odometry = ScanOdometry(front_end, feature=feature, tell_lines=True)
+    def __init__(
+        self, robot: int, cfg: KeyframeConfig, front_end: FrontEndConfig, feature: str = "none", *, learn: bool = False
+    ) -> None:
+        self.worth = WheelWorth(lambda step: wheel_noise(step, cfg.noise)) if learn else None
+        self.maker = KeyframeMaker(robot, cfg, self.worth)
+        self.odometry = ScanOdometry(front_end, feature=feature, tell_lines=True, worth=self.worth)
         self.status = "none"
 
     @property

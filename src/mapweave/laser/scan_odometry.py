@@ -17,13 +17,17 @@ from ..core.rows import RowBuffer
 from .beam import STEERING, Beams
 from .scan_matching import (
     BARE_TANGENT,
+    FRONT_END_SIGMA,
     GYRO_SCALE,
     LEAST_SHARE,
     STILL_TURN,
     STILL_XY,
+    WIDE_UNDER,
     FrontEndConfig,
+    ScanMatch,
     allowed_sd,
 )
+from .wheel_worth import WheelWorth
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +113,8 @@ class ScanOdometry:
     poses: one a scan, the first zero; step: (3,) the latest motion; lines: (3, 3) information of the walls alone on
     the latest pose, over robot-frame x, y, theta (zero where no match was taken; asked for by `tell_lines`).
     gate: what deviations from odometry [m, m, rad] it allows for the sd of an increment; a match outside is refused
-    and odometry taken. None: only a match of too few returns is refused. matching: False is odometry alone.
+    and odometry taken. None: only a match of too few returns is refused. matching: False is odometry alone. worth:
+    what is learned of the wheels, needs `tell_lines`; None: they are as any.
     """
 
     def __init__(
@@ -120,10 +125,11 @@ class ScanOdometry:
         gate: Callable[[Float[np.ndarray, "3"]], Float[np.ndarray, "3"]] | None = None,
         matching: bool = True,
         tell_lines: bool = False,
+        worth: WheelWorth | None = None,
     ) -> None:
         steers = feature in STEERING
         self.cfg = cfg if steers else replace(cfg, alpha=0.0)
-        self.gate, self.matching, self.tell_lines = gate, matching, tell_lines
+        self.gate, self.matching, self.tell_lines, self.worth = gate, matching, tell_lines, worth
         self.tangent = cfg.tangent if steers else BARE_TANGENT
         self._matcher: Callable[[FrontEndConfig, float], Matcher] = plugged_in(
             "matchers", self.cfg.matcher, "front_end.matcher"
@@ -156,7 +162,8 @@ class ScanOdometry:
                 alone=True,
             )
         u = np.zeros(3) if self.odometry is None else se2.between(self.odometry, odometry)
-        return Increment(u, allowed_sd(u, self.cfg))
+        sd = allowed_sd(u, self.cfg)
+        return Increment(u, sd if self.worth is None else sd * self.worth.step)
 
     def _wheels_stand(self, odometry: Float[np.ndarray, "3"] | None) -> bool:
         """Whether wheels report no motion at all since the last scan."""
@@ -202,6 +209,7 @@ class ScanOdometry:
             accepted = inside(match.innovation, self.gate(sd))
         if accepted and self.tell_lines:
             self.lines = self.front_end.information(b, match.pose)
+        self._learn(match, u, alone=alone)
         info = ScanInfo(
             match.innovation,
             match.beams,
@@ -210,6 +218,16 @@ class ScanOdometry:
             information=match.information if accepted else np.diag(sd**-2.0),
         )
         return self._accept(b, match.pose if accepted else predicted, info)
+
+    def _learn(self, match: ScanMatch, u: Float[np.ndarray, "3"], *, alone: bool) -> None:
+        """What the wheels are worth, from a step that scans and wheels tell together."""
+        if self.worth is None:
+            return
+        if alone or match.matches < WIDE_UNDER * match.beams:
+            self.worth.interrupted()
+            return
+        whole = self.cfg.neff / FRONT_END_SIGMA**2
+        self.worth.see(u, match.innovation, allowed_sd(u, self.cfg), self.lines, whole)
 
     def _accept(self, b: Beams, pose: np.ndarray, info: ScanInfo) -> ScanInfo:
         if len(self.poses):

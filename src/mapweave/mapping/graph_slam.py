@@ -91,7 +91,7 @@ def init(
         particles.odometry.tell_lines = True
     return GraphState(
         robot,
-        KeyframeOdometry(0, g.keyframe_graph.keyframes, cfg.front_end, feature),
+        KeyframeOdometry(0, g.keyframe_graph.keyframes, cfg.front_end, feature, learn=True),
         particles,
         KeyframeGraph(g.keyframe_graph, np.zeros((1, 3)), g.segments),
         Borders(g.segments),
@@ -184,8 +184,9 @@ def _grow(state: GraphState, cfg: LaserConfig, row: int, keyframe: Keyframe | No
     found = loops.offer(graph)
     for loop in found:
         graph.tie(loop.first, loop.second, loop.match)
-    if found and (graph.grown or _moved([graph.closures[k].innovation for k in range(-len(found), 0)], cfg)):
-        graph.settle()
+    innovations = [graph.closures[k].innovation for k in range(-len(found), 0)]
+    if found and (graph.grown or (not graph.settled and _moved(innovations, cfg))):
+        graph.settle(steps_too=False)
     if not found:
         return range(0)
     left = state.known.step(graph, number, found[-1].second, lambda i, k: _laid(state, cfg, i, k))

@@ -1,0 +1,102 @@
+"""What the wheels of a log are worth, learned while it is mapped from steps where walls hold every direction.
+
+Poor wheels hold a robot nowhere; good ones hold it along a corridor in which scans tell little, over a pause, and
+against rooms that look alike.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core import se2
+
+HOLDS = 0.1  # of what all returns could tell of a place across a wall, from which a direction is held
+DRIVES, TURNS = 0.02, 0.03  # [m], [rad] of a step that tells what wheels are worth
+WINDOW, WINDOW_TURN = 1.0, 0.5  # [m] of way or [rad] of turning over which steps are summed
+ANY = 4.0  # steps of any wheels that stand against those seen
+WILD = 3.0  # standard deviations at most that one step counts
+STEP_WIDE = 1.5  # times what steps tell, whose errors have tails
+CAREFUL = 1.5  # times what windows tell, errors over longer ways being alike
+LEAST, MOST = 0.2, 1.0  # of what any wheels may err by, that these are believed to
+
+
+class Spread:
+    """The spread of numbers that are seen, begun as if some of 1 had been. `see` changes it."""
+
+    def __init__(self) -> None:
+        self.n, self.squares, self.most = ANY, ANY, 0.0
+
+    def see(self, z: float) -> None:
+        """One more number."""
+        self.n += 1.0
+        self.squares += min(z, WILD) ** 2
+        self.most = max(self.most, z)
+
+    def of(self, careful: float) -> float:
+        """Their standard deviation, `careful` times, within what is believed of any wheels."""
+        return float(np.clip(careful * np.sqrt(self.squares / self.n), LEAST, MOST))
+
+
+class WheelWorth:
+    """What is known of one robot's wheels so far. `see` changes it.
+
+    noise: covariance (3, 3) of a step of any wheels, over x, y, theta.
+    """
+
+    def __init__(self, noise: Callable[[Float[np.ndarray, "3"]], Float[np.ndarray, "3 3"]]) -> None:
+        self._noise = noise
+        self._step, self._step_turn, self._way, self._turn = Spread(), Spread(), Spread(), Spread()
+        self.interrupted()
+
+    def interrupted(self) -> None:
+        """A step came of which scans and wheels do not tell together."""
+        self._wheels, self._scans, self._cov = np.zeros(3), np.zeros(3), np.zeros((3, 3))
+        self._far = np.zeros(2)
+
+    @property
+    def step(self) -> Float[np.ndarray, "3"]:
+        """What a step may err by in x, y, theta, over what that of any wheels may."""
+        xy, turn = self._step.of(STEP_WIDE), self._step_turn
+        return np.array([xy, xy, min(max(turn.of(STEP_WIDE), turn.most), MOST)])  # wheels that slipped will slip again
+
+    def scaled(self, cov: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
+        """The covariance of a way as any wheels tell it, over x, y, theta, for these."""
+        xy = self._way.of(CAREFUL)
+        f = np.array([xy, xy, self._turn.of(CAREFUL)])
+        return np.asarray(cov * f[:, None] * f)
+
+    def see(
+        self,
+        wheels: Float[np.ndarray, "3"],
+        innovation: Float[np.ndarray, "3"],
+        sd: Float[np.ndarray, "3"],
+        lines: Float[np.ndarray, "3 3"],
+        whole: float,
+    ) -> None:
+        """A step of `wheels`, and by how much the scan's match lies elsewhere; sd: what those of any may err by.
+
+        lines: what walls tell of the pose, over x, y, theta; whole: what all returns across one wall would [1/m^2].
+        """
+        moved = np.array([np.hypot(wheels[0], wheels[1]), abs(wheels[2])])
+        moves = moved[0] > DRIVES or moved[1] > TURNS
+        if moves:  # a heading is told by any wall
+            self._step_turn.see(float(abs(innovation[2]) / sd[2]))
+        held = lines[:2, :2] - np.outer(lines[:2, 2], lines[:2, 2]) / max(lines[2, 2], 1e-9)
+        if np.linalg.eigvalsh(held)[0] < HOLDS * whole:
+            self.interrupted()
+            return
+        if moves:
+            self._step.see(float(np.hypot(innovation[0], innovation[1]) / (np.sqrt(2.0) * sd[0])))
+        matched = se2.compose(wheels, innovation)
+        self._wheels, self._scans = se2.compose(self._wheels, wheels), se2.compose(self._scans, matched)
+        c, s = np.cos(matched[2]), np.sin(matched[2])
+        J = np.array([[c, s, matched[0] * s - matched[1] * c], [-s, c, matched[0] * c + matched[1] * s], [0, 0, 1]])
+        self._cov = J @ self._cov @ J.T + self._noise(matched)
+        self._far += moved
+        if (self._far < [WINDOW, WINDOW_TURN]).all():
+            return
+        e, v = se2.between(self._wheels, self._scans), np.diag(self._cov)
+        self._way.see(float(np.hypot(e[0], e[1]) / np.sqrt(v[0] + v[1])))
+        self._turn.see(float(abs(e[2]) / np.sqrt(v[2])))
+        self.interrupted()
