@@ -66,9 +66,37 @@ def test_without_wheels_no_match_contradicts_them():
 
 
 def test_after_a_pause_a_robot_that_moved_may_be_anywhere():
-    assert after(info(), apart=60.0) == GAP
+    assert after(info(), 3.0 * STEP, apart=60.0) == GAP
+    assert after(info(), wheels=False, apart=60.0) == GAP
     assert after(info(), np.array([0.05, 0.0, 0.01]), apart=60.0) == ""
     assert after(info(), apart=4.0) == ""
+
+
+def test_a_pause_hid_nothing_where_a_robot_went_on_as_ever_and_scans_are_where_wheels_say():
+    assert after(info(), apart=60.0) == ""
+    assert after(info((0.3, 0.0, 0.0)), apart=60.0) == GAP
+    assert after(info((0.0, 0.0, 0.25)), apart=60.0) == GAP
+    assert after(info(share=0.4), apart=60.0) == GAP
+
+
+def leaps(moves):
+    """Whether wheels that drive so far along x from scan to scan [m], a second apart, were set anew, at each."""
+    borders, x, told = Borders(SegmentConfig()), 0.0, []
+    for k, move in enumerate(moves):
+        x += move
+        told.append(borders.leapt(float(k), np.array([x, 0.0, 0.0])))
+        borders.seen(float(k), info(decision="first" if k == 0 else "matched"), np.array([move, 0.0, 0.0]), wheels=True)
+    return told
+
+
+def test_wheels_that_are_set_anew_leap_once_and_a_robot_that_drives_off_does_not_leap_for_ever():
+    still = [0.0] * (2 * LEARNED)
+    assert sum(leaps([*still, 40.0, *still])) == 1
+    assert 1 <= sum(leaps([*still, *[2.0] * 30])) <= 4
+
+
+def test_that_a_robot_drives_fast_is_known_from_its_first_step():
+    assert not any(leaps([*[2.0] * 8, *[0.0] * (LEARNED + 5), 2.0]))
 
 
 def test_over_a_border_a_long_step_may_err_by_more():

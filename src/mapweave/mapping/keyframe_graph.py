@@ -19,6 +19,7 @@ OUTWEIGHED = 3  # places that hold without a step and not with it: then it is th
 SLIPPED = 1.0  # sd, of a step over a border, that steps in a row may be wrong by: farther, the places are wrong
 ALONE = 5  # keyframes between two such rows, at least
 NEAR, RIVALS = 3.0, 30  # sd of a step over a gap that places there may lie from it; times as many elsewhere
+SELDOM = 0.02  # of the keyframes must be new before it is decided again which places hold, however far those move it
 ELSEWHERE = "it lies elsewhere than what came after the border"
 UNDECIDED = "found, and not decided on yet"
 EXACT = 1e-4  # [m, rad] sd of the start that `map` hangs on
@@ -57,6 +58,7 @@ class KeyframeGraph:
         self.closures: list[Closure] = []
         self.solved: Solved | None = None
         self.due = False  # a closure says that poses are elsewhere
+        self._settled = 0  # how many keyframes there were when it was decided last which closures hold
         self._since: list[np.ndarray] = []  # covariance of each seen from its robot's last solved one before it
 
     def __len__(self) -> int:
@@ -89,6 +91,7 @@ class KeyframeGraph:
         other.nodes, other.closures, other._since = list(self.nodes), list(self.closures), list(self._since)
         other.of = [list(of) for of in self.of]
         other.pose, other.robot, other.path = np.array(self.pose), self.robot, self.path
+        other._settled = self._settled
         other.due, other.solved = self.due, None if self.solved is None else self.solved.copy()
         return other
 
@@ -103,6 +106,11 @@ class KeyframeGraph:
         fresh = len(self) - self.known
         enough = fresh >= max(self.cfg.resolve_least, self.cfg.resolve_share * len(self))
         return enough or any(of and of[0] >= self.known for of in self.of)
+
+    @property
+    def settled(self) -> bool:
+        """Whether it was decided a few keyframes ago which closures hold."""
+        return len(self) - self._settled < max(self.cfg.resolve_least, SELDOM * len(self))
 
     def anchor(self, i: int) -> int | None:
         """The last solved keyframe of the robot of keyframe `i`, up to `i`."""
@@ -225,13 +233,14 @@ class KeyframeGraph:
         self.due = False
         self.solved.prepare([of[-1] for of in self.of if of])
 
-    def settle(self) -> None:
+    def settle(self, *, steps_too: bool = True) -> None:
         """Which closures hold is decided anew, all together, and the poses are at the optimum of those.
 
         Where every closure agrees with the optimum of all there is nothing to decide; else by graduated non-convexity:
-        each is doubtful until others agree with it. Where many hold but for a step or two, those are not believed.
+        each is doubtful until others agree with it. Where many hold but for a step or two, those are not believed,
+        unless all steps are to be believed for now.
         """
-        self.contradicted = frozenset()
+        self.contradicted, self._settled = frozenset(), len(self)
         self._leave_rivals()
         before = self.closures
         steps, tried = self.edges(tried=True)
@@ -241,7 +250,7 @@ class KeyframeGraph:
         graph = steps.joined(tried)
         doubtful = np.arange(graph.edges) >= steps.edges
         decided = solve_graph(graph, RobustGraphConfig(), doubtful=doubtful)
-        if len(decided.dropped) >= OUTWEIGHED:
+        if steps_too and len(decided.dropped) >= OUTWEIGHED:
             dropped = frozenset(d.edge - steps.edges for d in decided.dropped)
             self.contradicted = self._contradicted_steps(steps, tried, dropped)
         if self.contradicted:

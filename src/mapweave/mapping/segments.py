@@ -24,6 +24,7 @@ LEARNED = 20  # scans from which on it is known how far apart they are
 PAUSE, PAUSE_TIMES = 5.0, 8.0  # [s] between two scans, and times the usual: a pause
 LEAP, LEAP_TIMES, SLOW = 1.0, 5.0, 0.2  # [m or rad], times the usual speed, at least [1/s]: wheels that were set anew
 STILL, STILL_TURN = 0.2, 0.1  # [m], [rad]: a robot that moved less over a pause stood still
+USUAL = 0.98  # of the steps between two scans are at most so long, and a robot that moved less went on as ever
 DRIVEN = 0.15  # of a step over a gap that wheels may err by
 WIDE = 0.5  # of a step over a border that it may err by, where that is more than the settings say
 SLIP, REFUSED, JUMP, GAP = "slip", "refused", "jump", "gap"  # why a step is not sure,
@@ -71,20 +72,25 @@ class Borders:
         self._apart: list[float] = []
         self._wheels: np.ndarray | None = None
         self._speed: list[np.ndarray] = []
+        self._leapt = False
+        self._steps: list[np.ndarray] = []
 
     def leapt(self, t: float, wheels: Float[np.ndarray, "3"] | None) -> bool:
         """Whether the pose that wheels tell was set anew since the scan before, one at `t` [s] having come."""
         before, self._wheels = self._wheels, wheels
-        if wheels is None or before is None or len(self._apart) < LEARNED:
+        if wheels is None or before is None or not self._apart:
             return False
         step = se2.between(before, wheels)
         moved = np.array([np.hypot(step[0], step[1]), abs(step[2])])
         speed = moved / max(t - self._t, float(np.median(self._apart)))
         usual = np.quantile(self._speed, 0.95, axis=0) if self._speed else np.zeros(2)
-        far = (moved > LEAP) & (speed > LEAP_TIMES * np.maximum(usual, SLOW))
-        if not far.any() and len(self._speed) < 10 * LEARNED:
+        far = len(self._apart) >= LEARNED and bool(
+            ((moved > LEAP) & (speed > LEAP_TIMES * np.maximum(usual, SLOW))).any()
+        )
+        if (not far or self._leapt) and len(self._speed) < 10 * LEARNED:  # one after the other, they are a robot's way
             self._speed.append(speed)
-        return bool(far.any())
+        self._leapt = far
+        return far
 
     def seen(self, t: float, info: ScanInfo, step: Float[np.ndarray, "3"], *, wheels: bool) -> str:
         """Why the step to the scan at `t` [s] is not sure, empty where it is. step: as scan odometry has it."""
@@ -92,12 +98,24 @@ class Borders:
         pause = len(self._apart) >= LEARNED and apart > max(PAUSE, PAUSE_TIMES * float(np.median(self._apart)))
         if np.isfinite(apart) and not pause and len(self._apart) < 10 * LEARNED:
             self._apart.append(apart)
-        moved = np.hypot(step[0], step[1]) > STILL or abs(step[2]) > STILL_TURN
+        size = np.array([np.hypot(step[0], step[1]), abs(step[2])])
+        moved = (size > [STILL, STILL_TURN]).any()
+        if not pause and len(self._steps) < 10 * LEARNED:
+            self._steps.append(size)
         if info.decision in {"first", "empty"}:
             return ""
         if info.decision != "matched":
             return REFUSED
-        return GAP if pause and moved else self._contradicted(info) if wheels else ""
+        if pause and moved and not (wheels and self._went_on(info, size)):
+            return GAP
+        return self._contradicted(info) if wheels else ""
+
+    def _went_on(self, info: ScanInfo, size: Float[np.ndarray, "2"]) -> bool:
+        """Whether a pause hid nothing: as little way as between any two scans, and the match is where wheels say."""
+        c = self.cfg
+        usual = bool((size <= np.quantile(self._steps, USUAL, axis=0)).all())
+        off = np.abs([np.hypot(*info.innovation[:2]), se2.wrap_angle(info.innovation[2])])
+        return usual and info.matches >= c.least_share * info.beams and bool((off <= [c.off_xy, c.off_turn]).all())
 
     def _contradicted(self, info: ScanInfo) -> str:
         """Why a match is not believed that lies elsewhere than wheels put it."""
