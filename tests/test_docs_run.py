@@ -35,6 +35,7 @@ OTHER = {"office-5000": "office-300"}  # words in their place
 ELSEWHERE = {
     "explore yuan --robots 2 --planner joint": "tests/exploration/test_exploration.py",
     "live demo": "tests/live/test_processes.py",
+    "live explore": "tests/live/test_told.py",
     "live map": "tests/live/test_processes.py",
     "live robot": "tests/live/test_processes.py",
     "live robot --name r1 --source ros2": "tests/live/test_ros2_processes.py",
