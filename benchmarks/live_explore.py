@@ -33,8 +33,7 @@ from mapweave.core.workers import keep_one_blas_thread
 from mapweave.evaluation.building import known_at, survey_building
 from mapweave.exploration.laser.config import LaserExploreConfig
 from mapweave.exploration.laser.frontiers import mapped_ground
-from mapweave.exploration.laser.mission import points_of
-from mapweave.exploration.laser.planner_state import route_to
+from mapweave.exploration.laser.mission import points_of, route_to
 from mapweave.exploration.laser.planners import candidate_commands, collision_free, steer
 from mapweave.live.transport import LISTENING
 from mapweave.sim.laser import START_NS

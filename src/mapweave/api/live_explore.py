@@ -10,7 +10,7 @@ import numpy as np
 
 from ..core.errors import DataError, UsageError
 from ..exploration.laser.config import LaserExploreConfig
-from ..exploration.laser.planner_state import LaserBelief, PlannerState
+from ..exploration.laser.mission import LaserBelief, PlannerState
 from ..exploration.laser.planners import by_tours, choose_goals
 from ..live.messages import GoalMessage, Numbers, check_name, encode
 from ..live.told import LiveTeam, TeamRobot, hear_team
