@@ -42,7 +42,7 @@ def test_the_map_of_clouds_is_that_of_scans(tmp_path, drive):
     of_clouds = mapweave.map(cloud_bag(tmp_path / "clouds.mcap", drive.log), tmp_path / "out", laser=laser)
     a, b = of_scans.maps[0].track, of_clouds.maps[0].track
     apart = se2.between(se2.interpolate(b.t, a.t, a.pose), b.pose)
-    assert np.hypot(*apart[:, :2].T).max() < 0.15  # that of scans is as far from the truth
+    assert np.hypot(*apart[:, :2].T).max() < 0.2  # each is about as far from the truth
     assert of_clouds.verdict == "good"
 
 

@@ -199,7 +199,7 @@ class ScanOdometry:
         for fe in (self.front_end, self._anew):
             if fe is None:
                 break
-            match = fe.match_alone(b, self.pose, u, sd) if alone else fe.match(b, predicted, sd)
+            match = fe.match_alone(b, self.pose, u, sd) if alone else self._match(fe, b, u, sd)
             accepted = match.matches >= LEAST_SHARE * match.beams
             if accepted:
                 self.front_end = fe
@@ -218,6 +218,15 @@ class ScanOdometry:
             information=match.information if accepted else np.diag(sd**-2.0),
         )
         return self._accept(b, match.pose if accepted else predicted, info)
+
+    def _match(self, fe: Matcher, b: Beams, u: Float[np.ndarray, "3"], sd: Float[np.ndarray, "3"]) -> ScanMatch:
+        """A scan against the local map from where wheels put it; where few match, good ones may have slipped."""
+        predicted = se2.compose(self.poses[-1], u)
+        match: ScanMatch = fe.match(b, predicted, sd)
+        if self.worth is None or match.matches >= WIDE_UNDER * match.beams:
+            return match
+        of_any: ScanMatch = fe.match(b, predicted, allowed_sd(u, self.cfg))
+        return of_any if of_any.matches > match.matches else match
 
     def _learn(self, match: ScanMatch, u: Float[np.ndarray, "3"], *, alone: bool) -> None:
         """What the wheels are worth, from a step that scans and wheels tell together."""
