@@ -97,7 +97,8 @@ class LaserLog:
     def cut(self, t: float, robot: str) -> tuple["LaserLog", "LaserLog"]:
         """What was recorded before `t` [s], and what from then on: the log of `robot`.
 
-        What was left out in reading and what nobody used is told of the first.
+        What was left out in reading and what nobody used is told of the first. A side without odometry rows of its own
+        has those that its scans hold.
         """
         at = int(np.searchsorted(self.scan_t, t))
 
@@ -105,7 +106,7 @@ class LaserLog:
             rows, fixes = self.odometry, self.fixes
             if rows is not None:
                 keep = (rows.t >= first) & (rows.t <= last)
-                rows = Track(rows.t[keep], rows.pose[keep], None, rows.frame)
+                rows = Track(rows.t[keep], rows.pose[keep], None, rows.frame) if keep.any() else self._of_scans(scans)
             return replace(
                 self,
                 scan_t=self.scan_t[scans],
@@ -117,6 +118,15 @@ class LaserLog:
 
         before, after = side(slice(None, at), -np.inf, np.nextafter(t, -np.inf)), side(slice(at, None), t, np.inf)
         return before, replace(after, robot=robot, dropped={}, unused=())
+
+    def _of_scans(self, scans: slice) -> Track | None:
+        """Where wheels were at some scans, each by what it holds."""
+        of = [(t, scan.odometry) for t, scan in zip(self.scan_t[scans], self.scans[scans], strict=True)]
+        held = [(t, pose) for t, pose in of if pose is not None]
+        if not held or self.odometry is None:
+            return None
+        t, last = np.unique([t for t, _ in held][::-1], return_index=True)
+        return Track(t, np.array([pose for _, pose in held][::-1])[last], None, self.odometry.frame)
 
     def _packet(self, rows: Track, start: int, end: int) -> Event:
         return Event(float(rows.t[end - 1]), self.robot, OdometryPoses(rows.t[start:end], rows.pose[start:end]))
