@@ -103,7 +103,7 @@ def test_robots_said_to_be_apart_and_dragged_onto_each_other_again_are_one_map(t
         state = post(address, "decide", {"pair": pair["robots"], "decision": "apart"})
         made = mapweave.load(team).components[0]
         lies = se2.compose(
-            se2.between(made.tracks["1"].pose[0], made.tracks["2"].pose[0]), [0.5, -0.4, 0.03]
+            se2.between(made.tracks["1"].pose[0], made.tracks["2"].pose[0]), np.array([0.5, -0.4, 0.03])
         )  # not where the scans have it
         state = post(address, "decide", {"lay": 1, "part": 0, "pose": np.asarray(lies).tolist()})
         assert len(state["parts"]) == 1

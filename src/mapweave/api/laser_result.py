@@ -349,7 +349,10 @@ def _woven(
 def _as_said(
     maps: list[LaserMap], given: DecisionsGiven | None, cfg: LaserConfig
 ) -> tuple[list[LaserMap], Decisions | None, list[Finding]]:
-    """The maps with the places in them that somebody says are so, and what is said, each row with what was found."""
+    """The maps with the places in them that somebody says are so, and what is said, each place with what was found.
+
+    What scans say of a pair is told beside when it is written: rows of a file and rows in memory are the same.
+    """
     if given is None:
         return maps, None, []
     path: object = given if isinstance(given, Path) else "decisions"
@@ -368,7 +371,7 @@ def _as_said(
         findings += made.findings
         places += made.used
     logs = {m.robot: m.scan_hash for m in maps}
-    pairs = sorted((row for row in said.pairs if row.edited), key=lambda row: (row.a, row.b))
+    pairs = sorted((replace(row, found="") for row in said.pairs if row.edited), key=lambda row: (row.a, row.b))
     kept = sorted((row for row in places if row.edited), key=lambda row: row.key)
     return out, Decisions(logs, tuple(pairs), tuple(kept)), findings
 
