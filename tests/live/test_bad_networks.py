@@ -18,6 +18,8 @@ from mapweave.live.transport import Network
 from .bad_network import LossyRelay, Relay, ip, lossy, two_namespaces
 from .processes import Fleet, free_endpoint, same_result
 
+pytestmark = pytest.mark.drawn
+
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory):

@@ -9,6 +9,8 @@ from mapweave.api.simulate import simulate_landmarks
 
 from .processes import Fleet, same_result
 
+pytestmark = pytest.mark.drawn
+
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory):
