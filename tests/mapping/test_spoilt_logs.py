@@ -180,6 +180,16 @@ def test_a_log_cut_in_two_is_the_log():
     assert (after.odometry.t >= t).all()
 
 
+def test_a_part_of_a_log_without_wheel_rows_of_its_own_has_those_of_its_scans():
+    spoilt, _ = carried(office(5)[0], (0.3, 0.62))  # rows end where the robot is picked up
+    t = float(spoilt.odometry.t[-1]) + 0.1
+    before, after = spoilt.cut(t, "7")
+    assert before.odometry.t.tolist() == spoilt.odometry.t.tolist()
+    assert after.odometry.t.tolist() == after.scan_t.tolist()
+    assert np.array_equal(after.odometry.pose, [scan.odometry for scan in after.scans])
+    assert len(mapweave.map([after]).maps) == 1
+
+
 def test_poses_up_to_a_cut_are_carried_from_before_it_alone():
     way = np.column_stack([np.arange(7.0), np.zeros(7), np.zeros(7)])
     corrected = np.array([[0.0, 0.0, 0.0], [10.0, 5.0, 0.0]])

@@ -7,6 +7,7 @@ from io import BytesIO
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from PIL import Image
 
 from mapweave.core.findings import Finding
@@ -230,6 +231,18 @@ def test_figures_fold_beside_a_map_and_stand_open_where_there_is_none(tmp_path):
         score.figure(tmp_path / "f.png", "its score")
         html = score.put_into(page.html(), "score")
         assert re.findall(r"<details( open)?><summary>", html) == 2 * ["" if with_map else " open"]
+
+
+@pytest.mark.parametrize(("sd", "share"), [(0.3, 1.0), (30.0, 0.0)])
+def test_a_picture_shows_ellipses_whole_and_does_not_grow_for_huge_ones(sd, share):
+    scene, at = Scene("a map"), np.array([[0.0, 0.0], [10.0, 0.0], [5.0, 8.0]])
+    scene.points("landmarks", ["1", "2", "3"], at, "#808080", ["", "", ""], np.tile(np.eye(2) * sd**2, (3, 1, 1)))
+    ax = Figure().add_subplot()
+    scene._draw_on(ax, ())
+    low, high = np.array([ax.get_xlim(), ax.get_ylim()]).T
+    ends = [np.array([k * 2.4477 * sd, 0.0]) + p for p in at for k in (-1, 1)]
+    assert np.mean([((p > low) & (p < high)).all() for p in ends]) == share
+    assert (high - low).max() < 1.5 * 10.0
 
 
 def test_what_was_found_stands_where_its_robot_was():

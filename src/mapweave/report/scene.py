@@ -41,6 +41,7 @@ LEVELS = 254  # steps of time in which cells become known; one more is never
 SHAPES = {"dot": "o", "ring": "o", "star": "*", "cross": "X", "triangle": "^"}  # Matplotlib's markers
 CELLS = ListedColormap(["#DBDBDB", "#FFFFFF", "#24292F"])  # of unknown, free and wall in a picture
 MOST_NAMED = 60  # points of a layer from which names would cover a picture
+WIDER = 0.15  # of its longer side that a picture grows by at most at each, to show ellipses whole
 FEW_POINTS = 1500  # up to which each is drawn with its ellipse; of more the colour tells how sure they are
 
 Shape = Literal["dot", "ring", "star", "cross", "triangle"]
@@ -249,6 +250,9 @@ class Scene:
             look: Any = {"facecolors": "none", "edgecolors": tint, "linewidths": 0.8, "zorder": 3}
             axes = (2 * grow * a, 2 * grow * b, np.degrees(angle))
             ax.add_collection(EllipseCollection(*axes, units="xy", offsets=at, offset_transform=ax.transData, **look))
+            c, s = np.cos(angle), np.sin(angle)
+            reach = grow * np.column_stack([np.hypot(a * c, b * s), np.hypot(a * s, b * c)])
+            _widen(ax, (at - reach).min(axis=0), (at + reach).max(axis=0))
             if grow > 1:
                 ax.plot([], [], " ", label=f"95 % ellipses {grow} times larger")
         if one["named"] and len(at) <= MOST_NAMED:
@@ -265,6 +269,15 @@ class Scene:
             f'<figure class="scene"><div class="still">{still}</div><script type="application/json">{data}</script>'
             f"<figcaption>{escape(caption)} <span>{how}</span></figcaption></figure>"
         )
+
+
+def _widen(ax: Axes, low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"]) -> None:
+    """The axes show what lies from `low` to `high` too, as far as they need not grow by much."""
+    start, end = np.array([ax.get_xlim(), ax.get_ylim()]).T
+    room, most = 0.01 * (end - start).max(), WIDER * (end - start).max()
+    start = np.maximum(np.minimum(start, low - room), start - most)
+    end = np.minimum(np.maximum(end, high + room), end + most)
+    ax.set(xlim=(start[0], end[0]), ylim=(start[1], end[1]))
 
 
 def landmark_points(scene: Scene, team: TeamMap, landmarks: LandmarkMap) -> None:
