@@ -21,6 +21,7 @@ from .keyframe_graph import ELSEWHERE
 from .woven_map import placed_track
 
 SD, SD_TURN = 0.1, 0.03  # [m], [rad] of a pose that somebody tells of a place
+TOLD = np.diag([SD**-2, SD**-2, SD_TURN**-2])  # information of it
 CONTRADICTS = 5.0  # standard deviations from which a place contradicts the rest
 
 
@@ -35,7 +36,8 @@ class Redecided(NamedTuple):
 def redecided(local_map: LaserMap, rows: Sequence[PlaceRow], cfg: LaserConfig) -> Redecided:
     """One robot's map with these places as they are said to be; the others are decided anew beside them.
 
-    Stamps are those of keyframes. A place that is said to be there, and was not found, lies at the row's pose.
+    Stamps are those of keyframes. A place that is said to be there, and was not found, lies at the row's pose. One that
+    was found and refused lies where scans have it, as sure in every direction as if its pose were told besides.
     """
     graph = local_map.graph
     assert graph is not None  # noqa: S101  (only maps with a graph have places)
@@ -53,6 +55,8 @@ def redecided(local_map: LaserMap, rows: Sequence[PlaceRow], cfg: LaserConfig) -
                 used.append(row)
             continue
         said[at] = row
+        if row.decision == TOGETHER and not closures[at].accepted:
+            closures[at] = replace(closures[at], information=closures[at].information + TOLD)
         alone = TOGETHER if closures[at].accepted else APART  # which other rows may have changed, and then it is said
         used.append(replace(row, found="" if alone == row.decision else alone))
     asked = [
@@ -94,8 +98,7 @@ def _contradiction(graph: RobotGraph, closure: Closure) -> float:
 
 
 def _told(first: int, second: int, pose: Float[np.ndarray, "3"]) -> Closure:
-    information = np.diag([SD**-2, SD**-2, SD_TURN**-2])
-    return Closure((0, 0), first, second, True, f"said to be {TOGETHER}", pose, information, np.zeros(3), 0.0, None)
+    return Closure((0, 0), first, second, True, f"said to be {TOGETHER}", pose, TOLD, np.zeros(3), 0.0, None)
 
 
 def _remade(
