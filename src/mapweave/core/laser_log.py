@@ -106,7 +106,8 @@ class LaserLog:
             rows, fixes = self.odometry, self.fixes
             if rows is not None:
                 keep = (rows.t >= first) & (rows.t <= last)
-                rows = Track(rows.t[keep], rows.pose[keep], None, rows.frame) if keep.any() else self._of_scans(scans)
+                own = Track(rows.t[keep], rows.pose[keep], None, rows.frame)
+                rows = own if keep.any() else self._of_scans(scans, rows.frame)
             return replace(
                 self,
                 scan_t=self.scan_t[scans],
@@ -119,14 +120,13 @@ class LaserLog:
         before, after = side(slice(None, at), -np.inf, np.nextafter(t, -np.inf)), side(slice(at, None), t, np.inf)
         return before, replace(after, robot=robot, dropped={}, unused=())
 
-    def _of_scans(self, scans: slice) -> Track | None:
-        """Where wheels were at some scans, each by what it holds."""
-        of = [(t, scan.odometry) for t, scan in zip(self.scan_t[scans], self.scans[scans], strict=True)]
-        held = [(t, pose) for t, pose in of if pose is not None]
-        if not held or self.odometry is None:
+    def _of_scans(self, scans: slice, frame: str) -> Track | None:
+        """The odometry that scans hold, of equal stamps the last; None where they hold none."""
+        t, of = self.scan_t[scans], self.scans[scans]
+        if not of or of[0].odometry is None:
             return None
-        t, last = np.unique([t for t, _ in held][::-1], return_index=True)
-        return Track(t, np.array([pose for _, pose in held][::-1])[last], None, self.odometry.frame)
+        last = np.append(np.diff(t) > 0, True)
+        return Track(t[last], np.array([scan.odometry for scan in of], dtype=float)[last], None, frame)
 
     def _packet(self, rows: Track, start: int, end: int) -> Event:
         return Event(float(rows.t[end - 1]), self.robot, OdometryPoses(rows.t[start:end], rows.pose[start:end]))

@@ -199,7 +199,7 @@ class ScanOdometry:
         for fe in (self.front_end, self._anew):
             if fe is None:
                 break
-            match = fe.match_alone(b, self.pose, u, sd) if alone else self._match(fe, b, u, sd)
+            match = fe.match_alone(b, self.pose, u, sd) if alone else self._match(fe, b, predicted, u, sd)
             accepted = match.matches >= LEAST_SHARE * match.beams
             if accepted:
                 self.front_end = fe
@@ -219,9 +219,8 @@ class ScanOdometry:
         )
         return self._accept(b, match.pose if accepted else predicted, info)
 
-    def _match(self, fe: Matcher, b: Beams, u: Float[np.ndarray, "3"], sd: Float[np.ndarray, "3"]) -> ScanMatch:
+    def _match(self, fe: Matcher, b: Beams, predicted: np.ndarray, u: np.ndarray, sd: np.ndarray) -> ScanMatch:
         """A scan against the local map from where wheels put it; where few match, good ones may have slipped."""
-        predicted = se2.compose(self.poses[-1], u)
         match: ScanMatch = fe.match(b, predicted, sd)
         if self.worth is None or match.matches >= WIDE_UNDER * match.beams:
             return match
