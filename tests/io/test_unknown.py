@@ -55,7 +55,7 @@ def test_the_error_names_the_file_how_it_begins_and_what_three_formats_need(tmp_
     assert len(text) - len(str(path)) < 700
 
 
-@pytest.mark.parametrize("data", [b"", b"\n \n", gzip.compress(b"")])
+@pytest.mark.parametrize("data", [b"", b"\n \n", gzip.compress(b"", mtime=0)], ids=["nothing", "blanks", "packed"])
 def test_an_empty_file_is_told(tmp_path, data):
     with pytest.raises(ReaderError, match=r"some\.log: expected a log, found an empty file"):
         mapweave.map(written(tmp_path, data))
