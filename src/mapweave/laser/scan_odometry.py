@@ -209,7 +209,7 @@ class ScanOdometry:
             accepted = inside(match.innovation, self.gate(sd))
         if accepted and self.tell_lines:
             self.lines = self.front_end.information(b, match.pose)
-        self._learn(match, u, alone=alone)
+        match = self._learn(match, u, predicted, alone=alone)
         info = ScanInfo(
             match.innovation,
             match.beams,
@@ -227,15 +227,25 @@ class ScanOdometry:
         of_any: ScanMatch = fe.match(b, predicted, allowed_sd(u, self.cfg))
         return of_any if of_any.matches > match.matches else match
 
-    def _learn(self, match: ScanMatch, u: Float[np.ndarray, "3"], *, alone: bool) -> None:
-        """What the wheels are worth, from a step that scans and wheels tell together."""
+    def _learn(
+        self, match: ScanMatch, u: Float[np.ndarray, "3"], predicted: Float[np.ndarray, "3"], *, alone: bool
+    ) -> ScanMatch:
+        """What the wheels are worth is learned from a step that scans and wheels tell together; what the match is then.
+
+        It lies nearer to where wheels put it where few returns match and the wheels have proven good.
+        """
         if self.worth is None:
-            return
+            return match
+        sd = allowed_sd(u, self.cfg)
         if alone or match.matches < WIDE_UNDER * match.beams:
             self.worth.interrupted()
-            return
-        whole = self.cfg.neff / FRONT_END_SIGMA**2
-        self.worth.see(u, match.innovation, allowed_sd(u, self.cfg), self.lines, whole)
+        else:
+            self.worth.see(u, match.innovation, sd, self.lines, self.cfg.neff / FRONT_END_SIGMA**2)
+        if alone or match.matches < LEAST_SHARE * match.beams:
+            return match
+        off = self.worth.few(match.matches / match.beams, u, match.innovation, sd)
+        same = off is match.innovation
+        return match if same else match._replace(pose=np.asarray(se2.compose(predicted, off)), innovation=off)
 
     def _accept(self, b: Beams, pose: np.ndarray, info: ScanInfo) -> ScanInfo:
         if len(self.poses):

@@ -19,6 +19,8 @@ WILD = 3.0  # standard deviations at most that one step counts
 STEP_WIDE = 1.5  # times what steps tell, whose errors have tails
 CAREFUL = 1.5  # times what windows tell, errors over longer ways being alike
 LEAST, MOST = 0.2, 1.0  # of what any wheels may err by, that these are believed to
+PROVEN = 0.5  # of what any wheels may err by over longer ways, under which they are better than matches of few returns
+FEW = (0.5, 0.65)  # shares of the returns that match, which part scans in those of few matches, of some and of many
 
 
 class Spread:
@@ -47,6 +49,7 @@ class WheelWorth:
     def __init__(self, noise: Callable[[Float[np.ndarray, "3"]], Float[np.ndarray, "3 3"]]) -> None:
         self._noise = noise
         self._step, self._step_turn, self._way, self._turn = Spread(), Spread(), Spread(), Spread()
+        self._off = [(Spread(), Spread()) for _ in range(len(FEW) + 1)]  # of places and headings, by share
         self.interrupted()
 
     def interrupted(self) -> None:
@@ -65,6 +68,30 @@ class WheelWorth:
         xy = self._way.of(CAREFUL)
         f = np.array([xy, xy, self._turn.of(CAREFUL)])
         return np.asarray(cov * f[:, None] * f)
+
+    def few(
+        self,
+        share: float,
+        wheels: Float[np.ndarray, "3"],
+        innovation: Float[np.ndarray, "3"],
+        sd: Float[np.ndarray, "3"],
+    ) -> Float[np.ndarray, "3"]:
+        """How far from where `wheels` put it a scan is, of whose returns this share match elsewhere, by `innovation`.
+
+        Where few match, as among leaves, they lie farther from where wheels say than where many do: so much the less
+        they are believed, if over longer ways the wheels have proven good. Bad ones are why few match. sd: as of `see`.
+        """
+        of = self._off[int(np.searchsorted(FEW, share, side="right"))]
+        if np.hypot(wheels[0], wheels[1]) > DRIVES or abs(wheels[2]) > TURNS:
+            of[0].see(float(np.hypot(innovation[0], innovation[1]) / (np.sqrt(2.0) * sd[0])))
+            of[1].see(float(abs(innovation[2]) / sd[2]))
+        proven = max(self._way.of(CAREFUL), self._turn.of(CAREFUL)) < PROVEN
+        if of is self._off[-1] or not proven:
+            return innovation
+        xy, turn = (
+            min(1.0, many.squares / many.n * few.n / few.squares) for many, few in zip(self._off[-1], of, strict=True)
+        )
+        return innovation * [xy, xy, turn]
 
     def see(
         self,
