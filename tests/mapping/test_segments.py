@@ -157,6 +157,18 @@ def test_what_a_border_parts_is_held_where_a_closure_reaches_over_it():
     assert held_over(straight(), 99.0)
 
 
+def test_what_a_border_parts_is_held_where_closures_reach_most_of_what_came_after():
+    assert held_over(straight((20, 22), ((3, 30),)), 20.0)  # but for a short way right after it
+    assert not held_over(straight((20, 22), ((3, 21),)), 20.0)  # that alone
+    assert not held_over(straight((20, 34), ((3, 38),)), 20.0)
+    assert held_over(straight((20, 26), ((3, 38),)), 20.0)
+
+
+def test_nothing_is_apart_from_a_way_too_short_to_find_again():
+    assert "segment-apart" in {f.code for f in segment_findings(straight((20,)))}
+    assert "segment-apart" not in {f.code for f in segment_findings(straight((3,)))}
+
+
 def test_a_piece_that_another_robot_ties_is_no_longer_told_to_be_apart():
     graph = straight((20,))
     told = segment_findings(graph)

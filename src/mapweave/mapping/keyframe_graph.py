@@ -13,7 +13,7 @@ from ..laser.keyframes import Keyframe, KeyframeConfig, carried
 from ..laser.pose_graph import PoseGraph, Solved, edge_factor, problem
 from ..laser.robust_graph import RobustGraphConfig, solve_graph
 from .places import PlaceMatch
-from .segments import GAP, SegmentConfig
+from .segments import GAP, REFUSED, SegmentConfig
 
 OUTWEIGHED = 3  # places that hold without a step and not with it: then it is the step that is wrong
 SLIPPED = 1.0  # sd, of a step over a border, that steps in a row may be wrong by: farther, the places are wrong
@@ -22,6 +22,8 @@ NEAR, RIVALS = 3.0, 30  # sd of a step over a gap that places there may lie from
 SELDOM = 0.02  # of the keyframes must be new before it is decided again which places hold, however far those move it
 ELSEWHERE = "it lies elsewhere than what came after the border"
 UNDECIDED = "found, and not decided on yet"
+CARRIED = 16.0  # squared sd by which the places that hold contradict a step over a border that tells nothing, and
+LOOSE = np.diag([1e4, 1e4, 10.0])  # [m^2, rad^2] covariance that such a step has: the robot was carried
 EXACT = 1e-4  # [m, rad] sd of the start that `map` hangs on
 
 
@@ -40,8 +42,8 @@ class KeyframeGraphConfig:
 
 class KeyframeGraph:
     """nodes: the keyframes in the order they came; pose: (n, 3) of each in `map`; of: each robot's, by number;
-    contradicted: the keyframes whose step places contradict, which is not believed then; unclear: those after a border
-    that fit elsewhere about as well.
+    contradicted: the keyframes whose step places contradict, which is not believed then; loose: those after a border
+    whose step tells nothing, the robot having been carried; unclear: those after one that fit elsewhere about as well.
     """
 
     def __init__(
@@ -49,6 +51,7 @@ class KeyframeGraph:
     ) -> None:
         self.cfg, self.starts, self.segments = cfg, starts, segments or SegmentConfig()
         self.contradicted: frozenset[int] = frozenset()
+        self.loose: frozenset[int] = frozenset()
         self.unclear: tuple[int, ...] = ()
         self.nodes: list[Keyframe] = []
         self.pose = np.zeros((0, 3))
@@ -87,7 +90,7 @@ class KeyframeGraph:
     def copy(self) -> "KeyframeGraph":
         """The same graph, which may grow and be solved without this one's knowing."""
         other = KeyframeGraph(self.cfg, self.starts, self.segments)
-        other.contradicted = self.contradicted
+        other.contradicted, other.loose = self.contradicted, self.loose
         other.nodes, other.closures, other._since = list(self.nodes), list(self.closures), list(self._since)
         other.of = [list(of) for of in self.of]
         other.pose, other.robot, other.path = np.array(self.pose), self.robot, self.path
@@ -161,7 +164,7 @@ class KeyframeGraph:
         self.pose, self.robot, self.path = self.pose[kept], self.robot[kept], self.path[kept]
         self._since = [self._since[k] for k in kept.tolist()]
         number = np.searchsorted(kept, np.arange(kept[-1] + 1)).tolist()
-        self.contradicted = frozenset(number[i] for i in self.contradicted)
+        self.contradicted, self.loose = (frozenset(number[i] for i in of) for of in (self.contradicted, self.loose))
         leaving = range(first, last + 1)
         before = len(self.closures)
         self.closures = [
@@ -202,7 +205,11 @@ class KeyframeGraph:
         later = [self.nodes[i] for _, i in steps]
         covs = np.array(
             [
-                self.segments.covariance(node.step) if i in self.contradicted else node.cov
+                self.segments.covariance(node.step)
+                if i in self.contradicted
+                else LOOSE
+                if i in self.loose
+                else node.cov
                 for node, (_, i) in zip(later, steps, strict=True)
             ]
         ).reshape(-1, 3, 3)
@@ -240,7 +247,7 @@ class KeyframeGraph:
         each is doubtful until others agree with it. Where many hold but for a step or two, those are not believed,
         unless all steps are to be believed for now.
         """
-        self.contradicted, self._settled = frozenset(), len(self)
+        self.contradicted, self.loose, self._settled = frozenset(), frozenset(), len(self)
         self._leave_rivals()
         before = self.closures
         steps, tried = self.edges(tried=True)
@@ -265,6 +272,22 @@ class KeyframeGraph:
             self.closures[k] = replace(c, accepted=n not in why, nis=float(nis[n]), reason=reason)
         self.pose = np.array(decided.graph.pose)
         self.solve()
+        while (elsewhere := self._carried()) is not None:
+            self.loose |= {elsewhere}
+            self.solve()
+
+    def _carried(self) -> int | None:
+        """The keyframe after a border whose step the places that hold contradict most; first where nothing matched.
+
+        Between places that hold on both sides of a border only scans that nothing ties hang on its step: they go with
+        the side that they were seen from. A gap's step is the wheels', which are asked elsewhere.
+        """
+        steps, _ = self.edges()
+        squares = edge_factor(steps, "steps").squares(self.pose.ravel())
+        why = [self.nodes[i].border for i in steps.second.tolist()]
+        asked = [(border == REFUSED, sq, k) for k, (border, sq) in enumerate(zip(why, squares.tolist(), strict=True))]
+        worst = max((row for row in asked if why[row[2]] not in {"", GAP} and row[1] > CARRIED), default=None)
+        return None if worst is None else int(steps.second[worst[2]])
 
     def _leave_rivals(self) -> None:
         """Places over a gap that lie elsewhere than the wheels say are left out where others lie there.

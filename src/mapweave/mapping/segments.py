@@ -133,25 +133,32 @@ def pieces_of(graph: RobotGraph) -> list[Int[np.ndarray, " k"]]:
     A piece of less than `LONG` [m] of way goes with the one before it, or where there is none with the next.
     """
     cuts, piece = _pieces(graph)
-    first, last = np.array([0, *cuts]), np.array([*(k - 1 for k in cuts), len(graph) - 1])
-    way = np.bincount(piece, graph.path[last] - graph.path[first])
+    way = np.bincount(piece, _ways(graph, cuts))
     of, before = piece.copy(), -1
     for k in range(len(of)):
         of[k] = before = piece[k] if way[piece[k]] >= LONG or before < 0 else before
     if way[of[0]] < LONG and (long := np.flatnonzero(way[of] >= LONG)).size:
         of[of == of[0]] = of[long[0]]
-    whose = np.repeat(of, last + 1 - first)
+    whose = np.repeat(of, np.diff([0, *cuts, len(graph)]))
     return [np.flatnonzero(whose == p) for p in dict.fromkeys(whose.tolist())]
 
 
 def held_over(graph: RobotGraph, t: float) -> bool:
-    """Whether places hold what was driven before `t` [s] and what was driven from then on together."""
+    """Whether places hold what was driven before `t` [s] and most of what was driven from then on together."""
     k = int(np.searchsorted(graph.t, t))
     if not 0 < k < len(graph):
         return True
     cuts, piece = _pieces(graph, k)
-    at = cuts.index(k)
-    return bool(piece[at] == piece[at + 1])
+    before = cuts.index(k) + 1  # segments
+    held = np.isin(piece[before:], piece[:before])
+    way = _ways(graph, cuts)[before:]
+    return bool(way[held].sum() >= 0.5 * way.sum())
+
+
+def _ways(graph: RobotGraph, cuts: Sequence[int]) -> Float[np.ndarray, " s"]:
+    """The way [m] of each segment, of which all but the first begin with the keyframes `cuts`."""
+    first, last = np.array([0, *cuts]), np.array([*(k - 1 for k in cuts), len(graph) - 1])
+    return np.asarray(graph.path[last] - graph.path[first])
 
 
 def _pieces(graph: RobotGraph, beside: int = 0) -> tuple[list[int], Int[np.ndarray, " s"]]:
@@ -171,7 +178,7 @@ def _pieces(graph: RobotGraph, beside: int = 0) -> tuple[list[int], Int[np.ndarr
 def segment_findings(graph: RobotGraph) -> tuple[Finding, ...]:
     """Where the trajectory was cut and why, and which pieces share no place with anything before them."""
     cuts, joined = _pieces(graph)
-    found = []
+    way, found = _ways(graph, cuts), []
     if len(graph) >= MANY and len(cuts) > PATCHY * len(graph):
         found.append(Finding("track-patchy", graph.robot, None, {"cuts": len(cuts), "keyframes": len(graph)}))
     for piece, k in enumerate(cuts, start=1):
@@ -186,9 +193,8 @@ def segment_findings(graph: RobotGraph) -> tuple[Finding, ...]:
         if k in graph.unclear:
             found.append(Finding("place-unclear", graph.robot, span, action="the place that fits best is taken"))
         last = cuts[piece] - 1 if piece < len(cuts) else len(graph) - 1
-        way = float(graph.path[last] - graph.path[k])
-        if way >= LONG and joined[piece] not in joined[:piece]:
-            found.append(Finding("segment-apart", graph.robot, (span[1], float(graph.t[last])), way))
+        if min(way[piece], way[:piece].max()) >= LONG and joined[piece] not in joined[:piece]:
+            found.append(Finding("segment-apart", graph.robot, (span[1], float(graph.t[last])), float(way[piece])))
     return tuple(found)
 
 
