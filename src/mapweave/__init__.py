@@ -22,7 +22,8 @@ Verbs, each with its options in `help(mapweave.map)` and so on:
     live_follow, live_explore     what such a team knows, told a program; where its robots are to drive
     simulate_landmarks, simulate_laser, simulate_team, simulate_swarm     logs with their truth
     reproduce_kojima, reproduce_hamatani, reproduce_hara, reproduce_yuan     the experiments of four papers
-    configuration, demo, doctor     all settings; a first result; a check of the installation
+    configuration, demo     all settings; a first result
+    doctor                  what bends a map, its evidence and what mends it; a check of the installation
 
 `LandmarkSlam` and `LaserSlam` map one robot while it drives; `LiveLaser` is one of a live team. The other names are the
 results that verbs give, their options and settings, and the errors they raise. Each is imported when it is first used.

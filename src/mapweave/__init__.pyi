@@ -4,6 +4,7 @@
 from .api.compare import Comparison as Comparison, compare as compare
 from .api.configuration import configuration as configuration
 from .api.demo import demo as demo
+from .api.causes import Cause as Cause, Causes as Causes
 from .api.doctor import Diagnosis as Diagnosis, doctor as doctor
 from .api.view import edit as edit
 from .api.evaluate import Evaluation as Evaluation, evaluate as evaluate

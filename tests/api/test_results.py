@@ -133,6 +133,7 @@ RESULTS = {
         lambda home: mapweave.simulate_team(lasers=1, cameras=1, bearings=0, landmarks=8, minutes=0.5),
         "simulation.json",
     ),
+    "doctor, map": (mapweave.Causes, lambda home: mapweave.doctor(home / "team-map"), "metrics.json"),
     "doctor": (mapweave.Diagnosis, lambda home: mapweave.doctor(), "metrics.json"),
     "live robot": (mapweave.LiveRobot, drives_live, "metrics.json"),
     "solve": (mapweave.SolveResult, lambda home: mapweave.solve_pose_graph(triangle(home)), "metrics.json"),
@@ -220,7 +221,9 @@ def test_a_result_writes_its_folder_whole_and_its_metrics_are_those_of_the_file(
 
 def kept_figures(made):
     """Of results that are no map: statistics over many runs, scores, checks and what was told."""
-    no_map = mapweave.HamataniReproduction | mapweave.Evaluation | mapweave.Diagnosis | mapweave.LiveRobot
+    no_map = (
+        mapweave.HamataniReproduction | mapweave.Evaluation | mapweave.Causes | mapweave.Diagnosis | mapweave.LiveRobot
+    )
     return isinstance(made, no_map)
 
 

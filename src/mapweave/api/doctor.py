@@ -1,4 +1,4 @@
-"""`doctor`: what mapweave runs on, and whether a compiled kernel does what it should."""
+"""`doctor`: what mapweave runs on, and whether a compiled kernel does what it should; or what bends a map."""
 
 import os
 import platform
@@ -7,16 +7,20 @@ from dataclasses import dataclass
 from importlib.metadata import EntryPoint, PackageNotFoundError, requires, version
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
+from ..core.paths import path_arguments
 from ..core.plugins import KINDS, is_ours, plugged
 from ..core.version import __version__
 from ..io.directory import write_json
 from ..kernels._jit import cache_root, threads
 from ..kernels.walls.raycast import cast
 from ..report.result import ResultBase, Rows
+from .causes import Causes, causes_of
+from .read import Log
+from .result import MapResult
 
 if TYPE_CHECKING:
     from ..report.style import Target
@@ -152,14 +156,40 @@ class Diagnosis(ResultBase):
         return {e: [p for p in self.packages if p.extra == e] for e in FOR_USERS if e in named}
 
 
-def doctor() -> Diagnosis:
-    """Check the installation: versions, extras, cores, threads, kernel cache, and a kernel compiled and tried.
+@overload
+def doctor(subject: None = None) -> Diagnosis: ...
+@overload
+def doctor(subject: Path | str | MapResult | Log) -> Causes: ...
+@path_arguments
+def doctor(subject: Path | str | MapResult | Log | None = None) -> Diagnosis | Causes:
+    """Tell why a map is bent: the likeliest cause, its evidence, and what mends it.
+
+    Without a map, check the installation: versions, extras, cores, threads, kernel cache, a kernel compiled and tried.
+
+    Parameters
+    ----------
+    subject
+        A result of `map` or `fuse`, in memory or its folder; or a log, which is mapped first (the installation).
+
+    Raises
+    ------
+    ReaderError
+        For a folder or a log that is missing or damaged.
+    DataError
+        For logs that cannot be mapped, unless their unit is the reason.
+    UsageError
+        For a result of another kind than a map.
 
     Examples
     --------
     >>> doctor().healthy
     True
+    >>> drive = simulate_laser("drive.mcap", CorridorConfig(distance=4.0), seed=1)
+    >>> [cause.name for cause in doctor("drive.mcap").causes]
+    ['corridor']
     """
+    if subject is not None:
+        return causes_of(subject)
     first, second, error = _try_kernel()
     cache = cache_root(cast)
     files = [] if cache is None else [f for f in cache.rglob("*.nbc") if f.is_file()]

@@ -86,7 +86,7 @@ def _diagnosis(diagnosis: Any, asked: Asked) -> None:
     from json import dumps
 
     say(dumps(diagnosis.metrics, indent=1) if asked["json"] else diagnosis.summary())
-    if not diagnosis.healthy:
+    if not getattr(diagnosis, "healthy", True):
         raise SystemExit(1)
 
 
@@ -587,8 +587,16 @@ COMMANDS: dict[str, Command | dict[str, Command]] = {
     ),
     "doctor": Command(
         verb="api.doctor:doctor",
-        does="Check the installation.",
-        example="doctor",
+        does="Tell why a map is bent: the likeliest cause, its evidence, what mends it. Alone: check the installation.",
+        example="doctor result",
+        words=("subject",),
+        options={
+            "subject": Option(
+                kind=Path | None,
+                default=ABSENT,
+                help="The folder of a result of map or fuse, or a log, which is mapped first.",
+            )
+        },
         extra={"json": Option(kind=bool, help="Print JSON.")},
         said=_diagnosis,
     ),

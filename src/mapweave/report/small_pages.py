@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -35,11 +35,11 @@ def write_small_page(
 
 
 def draw_checks(target: Target, checks: Sequence[Check], seconds: Sequence[tuple[str, float]]) -> None:
-    """Every check with a mark that tells how it came out, and beside them how long calls of a kernel took [s]."""
+    """Every check with a mark that tells how it came out, and how long calls of a kernel took [s], if any."""
     rows = np.arange(len(checks))[::-1]
-    with figure(target, 9.0, 0.24 * len(checks) + 0.9, ncols=2, width_ratios=(3, 2)) as (_, axes):
-        left: Axes
-        left, right = axes
+    parts: dict[str, Any] = {"ncols": 2, "width_ratios": (3, 2)} if seconds else {}
+    with figure(target, 9.0, 0.24 * len(checks) + 0.9, squeeze=False, **parts) as (_, axes):
+        left: Axes = axes[0, 0]
         for row, (name, value, good) in zip(rows.tolist(), checks, strict=True):
             tint, shape = (MUTED, "o") if good is None else (GOOD, "o") if good else (BAD, "X")
             left.plot([0.0], [row], shape, color=tint, markersize=8)
@@ -48,6 +48,9 @@ def draw_checks(target: Target, checks: Sequence[Check], seconds: Sequence[tuple
         left.set_ylim(-0.7, len(checks) - 0.3)
         left.set_title("checks")
         left.axis("off")
+        if not seconds:
+            return
+        right: Axes = axes[0, 1]
         right.plot([name for name, _ in seconds], [s for _, s in seconds], "o", color=LANDMARK, markersize=9)
         right.margins(x=0.4, y=0.2)
         right.set_ylabel("time a kernel took [s]")
