@@ -36,6 +36,7 @@ FEW, NEAR = 60, 1.5  # returns of a scan on the median and [m] that nearly all l
 PAUSE, AWAY = 5.0, 1.0  # times the usual time from scan to scan, in which the robot drove so far [m]: a gap
 STRETCH, APART, SLIPS = 1.0, 0.2, 0.2  # [m] by the wheels, share by which ways differ, share of stretches that do
 PEOPLE = 0.03  # of all returns, that were left out as of things that move
+FLICKER = 0.002  # of all returns at least: those of glass come and go
 PANES = 0.005  # of the walls are seen where they are hit squarely, and seen through at a slant
 ALONG = 0.012  # of what walls tell, along the direction that they tell least of, on the median keyframe: a corridor
 SQUARE, SLANT = 0.9, (0.3, 0.8)  # cosines of incidence
@@ -255,7 +256,7 @@ def _measured(m: LaserMap, findings: Sequence[Finding]) -> Iterator[tuple[str, s
     if moving >= PEOPLE:
         yield "people", f"{100 * moving:.0f} % of the returns moved"
     if m.graph is not None and len(m.graph.points):
-        if moving < PEOPLE and (panes := _panes(m.graph)) >= PANES:
+        if FLICKER <= moving < PEOPLE and (panes := _panes(m.graph)) >= PANES:
             yield "glass", f"{100 * panes:.1f} % of the walls are seen squarely and seen through at a slant"
         if (along := _along(m.graph)) < ALONG:
             yield "corridor", f"of what walls tell, {100 * along:.1f} % is along the way"
