@@ -17,6 +17,8 @@ spec.loader.exec_module(make_notebooks)
 SCRIPTS = make_notebooks.scripts()
 SAYS = {
     "exploration": "mean map error",
+    "grid_planner": "a path of ",
+    "why_bent": "mended: nothing that was looked for bends this map",
     "fuse_results": "2 of 2 robots in one map",
     "landmark_team": "landmark RMSE 0.",
     "laser_arrays": "cells are occupied",

@@ -2,6 +2,7 @@
 
 import importlib.util
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -81,6 +82,21 @@ def test_landmarks_are_read_and_mapped_from_memory_as_from_their_files(tmp_path)
         mapweave.map(log, resolution=0.1)
     with pytest.raises(mapweave.UsageError, match="found both"):
         mapweave.map([log, tmp_path / "team"])
+
+
+def test_a_grid_for_xarray_has_the_coordinates_of_its_cells(monkeypatch):
+    grid = mapweave.map(mapweave.simulate_laser(world=mapweave.CorridorConfig(distance=3.0)).log).maps[0].grid
+    monkeypatch.setitem(sys.modules, "xarray", SimpleNamespace(Dataset=lambda *given: given))
+    cells, coords, told = grid.to_xarray()
+    (_, x, _), (_, y, _) = coords["x"], coords["y"]
+    rows, columns = np.nonzero(grid.hits > 0)
+    centres = np.column_stack([x[columns], y[rows]])
+    assert np.abs(centres - grid.mean[rows, columns]).max() <= 0.5 * grid.resolution + 1e-6
+    assert np.array_equal(np.isnan(cells["occupancy"][1]), grid.hits + grid.passes == 0)
+    assert told == {"resolution": grid.resolution, "frame": grid.frame}
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(mapweave.UsageError, match=r"install mapweave with the extra \[xarray\]"):
+        grid.to_xarray()
 
 
 def test_a_log_that_is_none_and_frames_without_pandas_are_one_clear_error(tmp_path, monkeypatch):

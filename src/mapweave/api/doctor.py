@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from ..report.style import Target
 
 NEED = re.compile(r"^(?P<name>[\w.-]+)(?:\[[^]]*\])?(?P<range>[^;]*)(?:;.*extra\s*==\s*['\"](?P<extra>[\w-]+)['\"])?")
-FOR_USERS = ("viewer", "parquet", "gym", "cluster", "live")
+FOR_USERS = ("viewer", "parquet", "pandas", "xarray", "gym", "cluster", "live")
 WALL = 2.0  # [m] ahead of the scanner of the trial
 
 

@@ -6,11 +6,12 @@ A map is a grid whose cells hold their mean point and mean feature.
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
+from ..core.errors import UsageError
 from ..core.findings import Finding, Unused
 from ..core.fixes import Fixes
 from ..core.records import Track, frozen
@@ -19,6 +20,9 @@ from .beam import IntensityCalibration
 from .odometry_calibration import OdometryCalibration
 from .robot_graph import RobotGraph
 from .scan_odometry import ScanInfo
+
+if TYPE_CHECKING:
+    from xarray import Dataset
 
 __all__ = ["GridMap", "IntensityCalibration"]
 
@@ -72,6 +76,22 @@ class GridMap:
         """What a planner needs of every cell: 0 free, 100 occupied, -1 unknown, as ROS navigation holds it."""
         p = self.occupancy()
         return np.where(p < FREE_BELOW, 0, np.where(p > OCCUPIED_ABOVE, 100, -1)).astype(np.int8)
+
+    def to_xarray(self) -> "Dataset":
+        """Cells as xarray holds them, over `y` and `x`, their centres [m]: `occupancy`, the probability of a wall, NaN
+        where nobody looked, `hits` and `passes`. Needs the extra `[xarray]`; raises UsageError without it.
+        """
+        try:
+            from xarray import Dataset  # noqa: PLC0415  (only who asks for it needs it)
+        except ModuleNotFoundError:
+            raise UsageError("to_xarray needs xarray: install mapweave with the extra [xarray]") from None
+        seen = np.where(self.hits + self.passes > 0, self.occupancy(), np.nan)
+        cells = {"occupancy": seen, "hits": self.hits, "passes": self.passes}
+        x, y = (o + self.resolution * (np.arange(n) + 0.5) for o, n in zip(self.origin, self.shape[::-1], strict=True))
+        metres = {"units": "m"}
+        coords = {"y": ("y", y, metres), "x": ("x", x, metres)}
+        told = {"resolution": self.resolution, "frame": self.frame}
+        return Dataset({name: (("y", "x"), values) for name, values in cells.items()}, coords, told)
 
     def save(self, path: Path | str) -> None:
         """`path`, as `map.yaml`, and the picture `map.pgm` beside it hold the map as ROS navigation reads it."""
