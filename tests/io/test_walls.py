@@ -230,7 +230,7 @@ LONG = "w" * 140_000
     ("row", "said"),
     [
         (f"0.0,1,{LONG},1,0", r"sightings\.csv:3: expected fields with commas between: field larger than"),
-        (f"0.0,1,{LONG[:300]},1,0", r"sightings\.csv:3: expected an id, found 'wwww"),
+        (f"0.0,1,{LONG[:300]},1,0", r"sightings\.csv:3: expected an id of at most 200 letters .*, found 'wwww"),
         ('0.0,1,"a,1,0', r"sightings\.csv:3: expected 5 columns|field in quotes that is not closed"),
         ("0.0,1,a\x1b[31m,1,0", r"sightings\.csv:3: expected an id"),
         (f"0.0,{'9' * 30},a,1,0", r"sightings\.csv:3: expected a whole number for robot, found '9999"),

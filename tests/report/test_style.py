@@ -5,7 +5,7 @@ import pytest
 from matplotlib.collections import EllipseCollection
 
 from mapweave.report.scene import Scene
-from mapweave.report.style import FACTORS, PALETTE, drawn, figure, name_points
+from mapweave.report.style import FACTORS, PALETTE, brief, drawn, figure, name_points
 
 # Linear RGB as seen with full protanopia, deuteranopia and tritanopia (Machado, Oliveira, Fernandes 2009)
 VISIONS = {
@@ -110,3 +110,8 @@ def test_ellipses_of_landmarks_do_not_cover_their_neighbours(n):
     assert ax.get_legend_handles_labels()[1][-1] == f"95 % ellipses {drawn_half / half:.0f} times larger"
     assert drawn_half < 0.5 * 0.5 * side / np.sqrt(n), "landmarks spread evenly are twice that apart"
     assert drawn_half > 0.004 * side, "and can be seen"
+
+
+def test_a_long_name_leaves_room_in_a_picture():
+    assert brief("robot 12") == "robot 12"
+    assert brief("x" * 60) == "x" * 15 + "…"

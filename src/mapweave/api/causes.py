@@ -161,7 +161,9 @@ class Causes(ResultBase):
     def lines(self) -> list[str]:
         if not self.causes:
             return ["nothing that was looked for bends this map"]
-        return [f"likeliest cause: {self.causes[0].text}", *(f"also: {cause.text}" for cause in self.causes[1:])]
+        asked = "nothing doubts this map; where it is bent all the same, the " if self.verdict == "good" else ""
+        first = f"{asked}likeliest cause: {self.causes[0].text}"
+        return [first, *(f"also: {cause.text}" for cause in self.causes[1:])]
 
     def headline(self) -> Rows:
         rows = [(c.name, c.robot or "", c.evidence) for c in self.causes]
@@ -171,7 +173,7 @@ class Causes(ResultBase):
         """Every cause that was looked for, and whether it shows."""
         from ..report.small_pages import draw_checks  # noqa: PLC0415  (figures cost half a second)
 
-        shown = {cause.name: cause.evidence[:60] for cause in reversed(self.causes)}
+        shown = {cause.name: cause.evidence[:110] for cause in reversed(self.causes)}
         draw_checks(target, [(name, shown.get(name, "no sign"), name not in shown) for name in MENDS], ())
 
     def write_into(self, folder: Path) -> None:

@@ -18,7 +18,7 @@ from ..core.landmark_log import NOTHING_SEEN, LandmarkLog, SightingTable
 from ..core.names import robot_key
 from .files import Files, open_files, recording_suffix, zip_begins_with
 from .mrclam import is_mrclam, read_mrclam
-from .table import Columns, Table, csv_rows, is_name, lines, table_of
+from .table import A_NAME, Columns, Table, csv_rows, is_name, lines, table_of
 
 ODOMETRY, SIGHTINGS = "odometry.csv", "sightings.csv"
 DRIVEN, SEEN = ("t", "robot", "v", "w"), ("t", "robot", "id", "range", "bearing")
@@ -209,7 +209,7 @@ def _columns(files: Files, name: str, columns: tuple[str, ...]) -> Rows:
                 continue
             if column == "id":
                 if not is_name(word):
-                    raise ReaderError(label, f"expected an id, found {word[:40]!r}", line)
+                    raise ReaderError(label, f"expected {A_NAME}, found {word[:40]!r}", line)
                 ids.append(word)
                 continue
             try:

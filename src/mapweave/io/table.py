@@ -114,6 +114,7 @@ def open_text(path: Path) -> IO[str]:
 Number = Callable[[float], str]
 NAMED = ("observer", "target", "robot", "id")  # columns of names, whatever they look like
 LONGEST_NAME = 200  # letters of an id: names become names of files
+A_NAME = f"an id of at most {LONGEST_NAME} letters that can be printed"  # what an id is, in words
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +161,7 @@ class Table:
             raise ReaderError(self.path, f"expected an id for {name}, found nothing", self.lines[column.index("")])
         for k, word in enumerate(column):
             if not is_name(word):
-                raise ReaderError(self.path, f"expected a name for {name}, found {word[:40]!r}", self.lines[k])
+                raise ReaderError(self.path, f"expected {A_NAME} for {name}, found {word[:40]!r}", self.lines[k])
         return column
 
     def whole(self, name: str) -> list[int]:

@@ -43,6 +43,7 @@ BESIDE: Sequence[tuple[int, int, Literal["left", "center", "right"], Literal["bo
     (0, 7, "center", "bottom"), (0, -7, "center", "top"), (8, 0, "left", "center"), (-8, 0, "right", "center"),
 )  # fmt: skip
 
+MOST_LETTERS = 16  # of a name in a picture
 MOST_TOLD = 2 * len(PALETTE)  # entries of a legend
 FACTORS = (1, 2, 5, 10, 20, 50, 100)  # by which ellipses are drawn larger
 
@@ -63,6 +64,11 @@ _RC: Any = {
     "figure.facecolor": "white",
     "text.parse_math": False,  # names of robots and landmarks are shown as they are, dollar signs too
 }
+
+
+def brief(name: str) -> str:
+    """A name as pictures have room for it."""
+    return name if len(name) <= MOST_LETTERS else f"{name[: MOST_LETTERS - 1]}…"
 
 
 def gaps(t: Float[np.ndarray, " n"]) -> Int[np.ndarray, " k"]:
@@ -153,7 +159,7 @@ def name_points(ax: Axes, names: Sequence[str], places: Float[np.ndarray, "n 2"]
     """Every name beside its point, where it covers no other in the finished figure; left out where there is no room."""
     for name, (x, y) in zip(names, places, strict=True):
         text = ax.annotate(
-            name, (x, y), (5, 4), textcoords="offset points", fontsize=size, color=INK, zorder=6, gid=NAME
+            brief(name), (x, y), (5, 4), textcoords="offset points", fontsize=size, color=INK, zorder=6, gid=NAME
         )
         text.set_in_layout(False)
 

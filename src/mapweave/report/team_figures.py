@@ -143,7 +143,9 @@ def uncertainty(path: Path, story: TeamStory) -> str:
         ax.set_ylabel("standard deviation of position [m]")
         ax.set_xlabel("landmark")
         if len(names) <= MANY:
-            ax.set_xticks(range(len(names)), names, rotation=90 if max(map(len, names), default=0) > 3 else 0)
+            ax.set_xticks(
+                range(len(names)), [*map(style.brief, names)], rotation=90 if max(map(len, names), default=0) > 3 else 0
+            )
         ax.grid(visible=False, axis="x")
         ax.set_title("What fusing gains")
         style.legend_beside(ax, 10)
@@ -167,7 +169,7 @@ def calibration(path: Path, story: TeamStory) -> str:
                 value, sd = by[robot].get(name, (np.nan, np.nan))
                 if sd > 0:
                     ax.errorbar(value, k, xerr=2 * sd, fmt=style.marker(k), color=style.colour(k), capsize=2.5, ms=5)
-            ax.set_yticks(range(len(robots)), [f"robot {robot_key(r)}" for r in robots])
+            ax.set_yticks(range(len(robots)), [style.brief(f"robot {robot_key(r)}") for r in robots])
             ax.set_ylim(len(robots) - 0.5, -0.5)
             ax.set_xlabel(label)
             ax.locator_params(axis="x", nbins=4)
