@@ -14,9 +14,7 @@ RUN pip install --no-cache-dir -c constraints.txt ./*.whl
 # whoever runs it, so that results belong to the caller: a home, and kernels that the image has compiled already
 ENV HOME=/home/robot NUMBA_CACHE_DIR=/kernels
 RUN useradd --create-home robot && mkdir /kernels /data \
- && mapweave demo --out demo \
- && mapweave simulate corridor --out laser.mcap && mapweave map laser.mcap --out laser \
- && mapweave doctor && rm -r demo laser* && chmod -R a+rwX /kernels /home/robot /data
+ && mapweave self-test && mapweave doctor && chmod -R a+rwX /kernels /home/robot /data
 USER robot
 WORKDIR /data
 ENTRYPOINT ["mapweave"]

@@ -24,6 +24,7 @@ Verbs, each with its options in `help(mapweave.map)` and so on:
     reproduce_kojima, reproduce_hamatani, reproduce_hara, reproduce_yuan     the experiments of four papers
     configuration, demo     all settings; a first result
     doctor                  what bends a map, its evidence and what mends it; a check of the installation
+    self_test               every kind of job tried on simulated data
 
 `LandmarkSlam` and `LaserSlam` map one robot while it drives; `LiveLaser` is one of a live team. The other names are the
 results that verbs give, their options and settings, and the errors they raise. Each is imported when it is first used.
@@ -54,7 +55,7 @@ def _lacking(name: str, module: str) -> object:
     def lacks(*args: object, **options: object) -> None:  # noqa: ARG001
         from .core.errors import UsageError
 
-        raise UsageError(f"{name} needs {_LIVE[module]}: pip install 'mapweave[live]'")
+        raise UsageError(f"{name} needs {_LIVE[module]}: install mapweave with the extra [live]")
 
     return lacks
 

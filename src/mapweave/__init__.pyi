@@ -6,6 +6,7 @@ from .api.configuration import configuration as configuration
 from .api.demo import demo as demo
 from .api.causes import Cause as Cause, Causes as Causes
 from .api.doctor import Diagnosis as Diagnosis, doctor as doctor
+from .api.self_test import SelfTest as SelfTest, self_test as self_test
 from .api.view import edit as edit
 from .api.evaluate import Evaluation as Evaluation, evaluate as evaluate
 from .api.evaluate import RelationEvaluation as RelationEvaluation

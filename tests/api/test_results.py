@@ -134,6 +134,7 @@ RESULTS = {
         "simulation.json",
     ),
     "doctor, map": (mapweave.Causes, lambda home: mapweave.doctor(home / "team-map"), "metrics.json"),
+    "self-test": (mapweave.SelfTest, lambda home: mapweave.self_test(), "metrics.json"),
     "doctor": (mapweave.Diagnosis, lambda home: mapweave.doctor(), "metrics.json"),
     "live robot": (mapweave.LiveRobot, drives_live, "metrics.json"),
     "solve": (mapweave.SolveResult, lambda home: mapweave.solve_pose_graph(triangle(home)), "metrics.json"),
@@ -145,7 +146,12 @@ RESULTS = {
 }
 
 
-MARKS = {"reproduce hamatani": pytest.mark.long, "explore, laser": pytest.mark.slow, "map, mixed": pytest.mark.slow}
+MARKS = {
+    "reproduce hamatani": pytest.mark.long,
+    "explore, laser": pytest.mark.slow,
+    "self-test": pytest.mark.slow,
+    "map, mixed": pytest.mark.slow,
+}
 PARAMS = [pytest.param(name, marks=MARKS.get(name, ())) for name in sorted(RESULTS)]
 
 
@@ -222,7 +228,12 @@ def test_a_result_writes_its_folder_whole_and_its_metrics_are_those_of_the_file(
 def kept_figures(made):
     """Of results that are no map: statistics over many runs, scores, checks and what was told."""
     no_map = (
-        mapweave.HamataniReproduction | mapweave.Evaluation | mapweave.Causes | mapweave.Diagnosis | mapweave.LiveRobot
+        mapweave.HamataniReproduction
+        | mapweave.Evaluation
+        | mapweave.SelfTest
+        | mapweave.Causes
+        | mapweave.Diagnosis
+        | mapweave.LiveRobot
     )
     return isinstance(made, no_map)
 

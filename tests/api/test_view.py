@@ -50,7 +50,7 @@ def test_with_a_display_the_report_is_opened(result, monkeypatch):
 
 
 def test_a_viewer_that_cannot_start_is_an_error(result, no_display):
-    told = "no display" if find_spec("rerun") else "pip install"
+    told = "no display" if find_spec("rerun") else "install mapweave with the extra"
     with pytest.raises(mapweave.MapweaveError, match=told):
         mapweave.view(result, rerun=True)
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 
+import mapweave
 from mapweave.api import doctor as module
 from mapweave.api.doctor import Package, doctor
 from mapweave.cli import _run
@@ -47,6 +48,20 @@ def test_a_kernel_that_errs_or_cannot_be_compiled_ends_with_1(monkeypatch, capsy
     monkeypatch.setattr(module, "cast", broken)
     assert _run(["doctor", "--json"]) == 1
     assert json.loads(capsys.readouterr().out)["kernel_error"] == "FAILED: no compiler"
+
+
+def test_a_job_that_comes_out_wrong_or_fails_is_told_and_ends_with_1(monkeypatch, capsys):
+    def failing(_):
+        raise mapweave.DataError("no scans")
+
+    trials = {"landmarks": lambda _: ("3 robots", True), "laser": failing, "swarm": lambda _: ("far off", False)}
+    monkeypatch.setattr("mapweave.api.self_test.TRIALS", trials)
+    assert _run(["self-test"]) == 1
+    told = capsys.readouterr().out
+    assert told.startswith("landmarks: 3 robots\nlaser: FAILED: no scans (WRONG)\nswarm: far off (WRONG)\n")
+    monkeypatch.setattr("mapweave.api.self_test.TRIALS", {"landmarks": trials["landmarks"]})
+    assert _run(["self-test", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["healthy"]
 
 
 def test_all_well_ends_with_0(capsys):

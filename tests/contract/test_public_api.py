@@ -51,7 +51,7 @@ def test_without_the_extra_every_name_is_there_and_those_of_a_live_team_say_what
         "    print(error)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)  # noqa: S603
-    assert done.stdout == "live_robot needs eclipse-zenoh: pip install 'mapweave[live]'\n"
+    assert done.stdout == "live_robot needs eclipse-zenoh: install mapweave with the extra [live]\n"
 
 
 def test_importing_and_asking_for_help_imports_nothing_heavy():

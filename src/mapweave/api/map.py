@@ -58,7 +58,7 @@ def cluster_executor(address: str, executor: Executor | None) -> Iterator[Execut
         from distributed.client import FutureCancelledError  # noqa: PLC0415
         from distributed.scheduler import KilledWorker  # noqa: PLC0415
     except ImportError:
-        raise UsageError("--cluster: Dask is not installed: pip install 'mapweave[cluster]'") from None
+        raise UsageError("--cluster: Dask is not installed: install mapweave with the extra [cluster]") from None
     with _quiet():
         try:
             client = Client(address, timeout=WAIT, set_as_default=False)

@@ -89,7 +89,7 @@ def view(
 
 def _in_rerun(folder: Path, save: Path | None) -> str:
     if find_spec("rerun") is None:
-        raise UsageError("--rerun: the viewer is not installed: pip install 'mapweave[viewer]'")
+        raise UsageError("--rerun: the viewer is not installed: install mapweave with the extra [viewer]")
     parts = read_finished(folder)
     if all(part.empty for part in parts):
         raise UsageError(f"{folder}: expected trajectories, walls, landmarks or positions to show, found none")

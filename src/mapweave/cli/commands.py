@@ -180,7 +180,7 @@ def _expect_extra(given: Asked) -> None:
     del given
     missing = [name for module, name in NEEDS.items() if find_spec(module) is None]
     if missing:
-        raise UsageError(f"mapweave live needs {' and '.join(missing)}: pip install 'mapweave[live]'")
+        raise UsageError(f"mapweave live needs {' and '.join(missing)}: install mapweave with the extra [live]")
 
 
 def _live_robot(drive: Callable[..., Any], asked: Asked) -> list[Any]:
@@ -597,6 +597,13 @@ COMMANDS: dict[str, Command | dict[str, Command]] = {
                 help="The folder of a result of map or fuse, or a log, which is mapped first.",
             )
         },
+        extra={"json": Option(kind=bool, help="Print JSON.")},
+        said=_diagnosis,
+    ),
+    "self-test": Command(
+        verb="api.self_test:self_test",
+        does="Try every kind of job on small simulated data; exit status 1 where one comes out wrong.",
+        example="self-test",
         extra={"json": Option(kind=bool, help="Print JSON.")},
         said=_diagnosis,
     ),

@@ -29,7 +29,7 @@ try:
     from gymnasium import spaces
     from pettingzoo import ParallelEnv
 except ImportError:
-    raise UsageError("the exploration environment needs the extra: pip install 'mapweave[gym]'") from None
+    raise UsageError("the exploration environment needs PettingZoo: install mapweave with the extra [gym]") from None
 
 BLOCKS = (12, 16)  # rows, columns
 

@@ -243,6 +243,6 @@ def _write_parquet(path: Path, columns: dict[str, list]) -> None:
         import pyarrow as pa  # noqa: PLC0415  (an extra: only Parquet files need it)
         from pyarrow import parquet  # noqa: PLC0415
     except ImportError:
-        raise UsageError(f"{path}: Parquet needs pyarrow: pip install 'mapweave[parquet]'") from None
+        raise UsageError(f"{path}: Parquet needs pyarrow: install mapweave with the extra [parquet]") from None
     with result_file(path) as work:
         parquet.write_table(pa.table(columns), work)

@@ -232,7 +232,7 @@ def _read_parquet(path: Path) -> Table:
     try:
         from pyarrow import ArrowException, parquet  # noqa: PLC0415  (an extra: only Parquet files need it)
     except ImportError:
-        raise ReaderError(path, "Parquet needs pyarrow: pip install 'mapweave[parquet]'") from None
+        raise ReaderError(path, "Parquet needs pyarrow: install mapweave with the extra [parquet]") from None
     try:
         table = parquet.read_table(path)
         return _columns(path, table)
