@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
-from ..core.errors import DataError
+from ..core.errors import DataError, UsageError
 from ..core.findings import KINDS, Finding, Verdict
 from ..core.names import robot_key, robot_name
 from ..core.records import Track
@@ -23,6 +23,7 @@ from ..laser.laser_map import LaserMap
 from ..laser.robot_graph import RobotGraph
 from ..mapping.merge import Merge
 from ..report.result import ResultBase, Rows
+from .read import Log
 from .result import MapResult, load
 
 if TYPE_CHECKING:
@@ -195,6 +196,8 @@ def causes_of(subject: Any) -> Causes:
             result = held if isinstance(held, MapResult) else None  # simulated logs are results, too
     else:
         source, result = "in memory", subject if isinstance(subject, MapResult) else None
+        if result is None and not isinstance(subject, Log):
+            raise UsageError(f"subject: expected a path, a map or a log, found {type(subject).__name__}")
     if result is None:
         from .map import map as mapped  # noqa: PLC0415  (what a check of the installation can do without)
 
