@@ -177,6 +177,8 @@ def test_results_are_fused_as_it_is_said(made, logs, tmp_path):
             {"places": [{"robot_a": "1", "stamp_a": 1, "robot_b": "1", "stamp_b": 2, "decision": "together"}]},
             "a place at 2.0 s that is added: expected a pose",
         ),
+        ({"masks": [{"robot": "1", "box": [1, 2, 3], "cells": "free"}]}, "box: expected x0, y0, x1, y1"),
+        ({"masks": [{"robot": "1", "box": [1, 2, 3, 4], "cells": "gone"}]}, "cells: expected one of free, unknown"),
     ],
 )
 def test_what_is_wrong_with_a_file_is_told_all_at_once(table, why):

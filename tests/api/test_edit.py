@@ -92,6 +92,32 @@ def test_decisions_made_in_the_page_give_the_same_bytes_when_map_takes_them(team
     same_bytes(out, tmp_path / "map")
 
 
+def test_walls_that_are_erased_and_regions_that_are_forgotten_give_the_same_bytes(team, logs, tmp_path):
+    file, out = tmp_path / "said.toml", tmp_path / "out"
+    whole = mapweave.load(team).components[0].grid
+    x, y = whole.cells()[len(whole.cells()) // 2, :2].round(1) + 0.02  # off the middles of cells
+    boxes = {"free": [x - 0.5, y - 0.5, x + 0.5, y + 0.5], "unknown": [x + 0.5, y - 2.0, x + 3.0, y + 2.0]}
+    with served(team, decisions=file, out=out) as address:
+        for cells, box in boxes.items():
+            state = post(address, "decide", {"box": box, "cells": cells, "part": 0})
+        assert (state["said"], state["undo"]) == (2, 2)
+        assert post(address, "undo", {})["said"] == 1
+        post(address, "decide", {"box": boxes["unknown"], "cells": "unknown", "part": 0})
+        post(address, "save", {})
+    masked = mapweave.map(logs, tmp_path / "map", decisions=file).components[0].grid
+    same_bytes(out, tmp_path / "map")
+    rows, columns = np.indices(whole.shape)
+    centres = whole.origin + whole.resolution * (np.stack([columns, rows], axis=-1) + 0.5)
+    inside = {name: ((centres > box[:2]) & (centres < box[2:])).all(axis=-1) for name, box in boxes.items()}
+    assert (whole.to_numpy() == 100)[inside["free"]].any()
+    assert not (masked.to_numpy() == 100)[inside["free"]].any()
+    assert (masked.to_numpy() == -1)[inside["unknown"]].all()
+    rest = ~(inside["free"] | inside["unknown"])
+    assert (masked.to_numpy() == whole.to_numpy())[rest].all()
+    with served(out, decisions=file) as address:
+        assert post(address, "state", {})["said"] == 2
+
+
 def test_robots_said_to_be_apart_and_dragged_onto_each_other_again_are_one_map(team, logs, tmp_path):
     file, out = tmp_path / "said.toml", tmp_path / "out"
     with served(team, decisions=file, out=out) as address:
@@ -143,6 +169,9 @@ def test_what_was_refused_only_beside_another_place_stays_forbidden_when_read_ag
         ("decide", {"lay": 0, "pose": [0, 0, 0]}, "another map than the one it is laid on"),
         ("decide", {"lay": 0, "pose": [0, "x", 0]}, "pose: expected x, y, theta"),
         ("decide", {"lay": 0, "pose": [0, 1e999, 0]}, "pose: expected x, y, theta"),
+        ("decide", {"box": [0, 0, 1], "cells": "free"}, "box: expected x0, y0, x1, y1"),
+        ("decide", {"box": [0, 0, 1, 1e999], "cells": "free"}, "box: expected x0, y0, x1, y1"),
+        ("decide", {"box": [0, 0, 1, 1], "cells": "gone"}, "cells: expected one of free, unknown"),
         ("undo", {}, "nothing to undo"),
     ],
 )  # fmt: skip

@@ -290,6 +290,8 @@ def woven_result(
         components, merges, stored = _woven(stored, cfg, known_starts, pool, merge=merge, said=said)
     placed = georeferenced(components, stored, cfg.resolution, cfg.graph.unsure)
     components = placed.components
+    if said is not None and said.masks:
+        components, stored = _masked(components, stored, said)
     if len(stored) > 1:
         on_progress("weave", 1, 1)
     timing = {"weave": perf_counter() - began} if len(stored) > 1 else {}
@@ -322,7 +324,21 @@ def woven_result(
 
 
 def _changed(before: LaserMap, after: LaserMap) -> bool:
-    return before.graph is not after.graph or before.findings != after.findings
+    changed = before.graph is not after.graph or before.grid is not after.grid
+    return changed or before.findings != after.findings
+
+
+def _masked(
+    components: Sequence[WovenMap], maps: Sequence[LaserMap], said: Decisions
+) -> tuple[tuple[WovenMap, ...], list[LaserMap]]:
+    """The maps, each robot's own too, as somebody says they are within rectangles."""
+    out, own = list(components), list(maps)
+    for row in said.masks:
+        out = [
+            replace(c, grid=row.on(c.grid, c.tracks[row.robot].pose[0])) if row.robot in c.robots else c for c in out
+        ]
+        own = [replace(m, grid=row.on(m.grid, m.track.pose[0])) if m.robot == row.robot else m for m in own]
+    return tuple(out), own
 
 
 def _woven(
@@ -373,7 +389,8 @@ def _as_said(
     logs = {m.robot: m.scan_hash for m in maps}
     pairs = sorted((replace(row, found="") for row in said.pairs if row.edited), key=lambda row: (row.a, row.b))
     kept = sorted((row for row in places if row.edited), key=lambda row: row.key)
-    return out, Decisions(logs, tuple(pairs), tuple(kept)), findings
+    masks = tuple(sorted(said.masks, key=lambda row: (row.robot, row.box, row.cells)))
+    return out, Decisions(logs, tuple(pairs), tuple(kept), masks), findings
 
 
 def _told_of(merge: Merge, cfg: MergeConfig) -> list[Finding]:

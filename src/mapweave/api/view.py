@@ -29,7 +29,7 @@ from ..io.directory import check_target, result_directory, result_file
 from ..io.finished import read_finished
 from ..io.team_map import read_metrics
 from ..io.web import Answer, served_pages
-from ..mapping.decisions import TOGETHER, UNDECIDED, WORDS, PairRow, PlaceRow
+from ..mapping.decisions import CELLS, TOGETHER, UNDECIDED, WORDS, PairRow, PlaceRow
 from ..mapping.woven_map import WovenMap
 from ..report.laser_figures import laser_scene
 from ..report.result import ResultBase
@@ -108,6 +108,7 @@ def _has_display() -> bool:
     return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
+UNTURNED = 1e-6  # [rad] by which the first robot's map may be turned in its part for a rectangle to stay one
 OUTLINE = 3000  # points of a map that is laid on another by hand
 Row = dict[str, Any]
 Say = Callable[[str], None]
@@ -200,6 +201,7 @@ class Editor:
             said = read_decisions(self.folder / NAME)
             edited: list[PairRow | PlaceRow] = [row for row in said.pairs if row.edited]
             edited += [row for row in said.places if row.edited]
+            self.rows = {_key(row): row for row in ({**asdict(mask), "box": list(mask.box)} for mask in said.masks)}
             for row in edited:
                 held = {name: value for name, value in asdict(row).items() if value not in {None, ""}}
                 self.rows[_key(held)] = held | ({"pose": list(row.pose)} if row.pose is not None else {})
@@ -259,13 +261,13 @@ class Editor:
         """The state once something more is said: of a place, of a pair of robots, or where a map lies on another.
 
         asked: `place`, its number in `part`, or `pair`, two robots, each with `decision`; or `lay`, the part that lies
-        on `part` at `pose`, x, y, theta of its frame.
+        on `part` at `pose`, x, y, theta of its frame; or `box`, x0, y0, x1, y1 there, and what its `cells` are to be.
         """
         with self._lock:
             row = self._row(asked)
             rows = dict(self.rows)
             rows.pop(_key(row), None)
-            if row["decision"] != UNDECIDED:
+            if row.get("decision") != UNDECIDED:
                 rows[_key(row)] = row
             self._solve(rows)
             self.past.append(self.rows)
@@ -301,7 +303,8 @@ class Editor:
     def _solve(self, rows: Mapping[tuple[Any, ...], Row]) -> None:
         began, old = perf_counter(), self.result
         assert old.config is not None  # noqa: S101  (asked for when it was read)
-        pairs, places = ([row for row in rows.values() if ("a" in row) == pair] for pair in (True, False))
+        tables = {"pairs": "a", "places": "robot_a", "masks": "box"}
+        said = {table: [row for row in rows.values() if key in row] for table, key in tables.items()}
         with one_blas_thread():
             self.result = woven_result(
                 old.before or old.maps,
@@ -312,7 +315,7 @@ class Editor:
                 findings=[found for found in old.whole if found.code == "log-twice"],
                 notes=old.notes,
                 executor=self._pairs,
-                decisions={"pairs": pairs, "places": places} if rows else None,
+                decisions=said if rows else None,
             )
         self.seconds = perf_counter() - began
 
@@ -323,6 +326,8 @@ class Editor:
         if "lay" in asked:
             other = parts[_number(asked["lay"], len(parts), "lay")]
             return self._laid(parts[part], other, _pose(asked.get("pose")))
+        if "box" in asked:
+            return self._mask(parts[part], asked["box"], asked.get("cells"))
         decision = asked.get("decision")
         if decision not in WORDS:
             raise UsageError(f"decision: expected one of {', '.join(WORDS)}, found {decision!r:.40}")
@@ -342,6 +347,20 @@ class Editor:
                 raise UsageError("no place of one is found in the other: drag its map to where it lies")
             row["pose"] = [round(v, 6) + 0.0 for v in found.tolist()]
         return row
+
+    def _mask(self, here: WovenMap, box: object, cells: object) -> Row:
+        """The row of a rectangle of a part's frame, in the map of its first robot."""
+        x0, y0, turn = here.tracks[here.robots[0]].pose[0].tolist()
+        if not (isinstance(box, list) and len(box) == 4 and all(type(v) in {int, float} for v in box)):
+            raise UsageError(f"box: expected x0, y0, x1, y1, found {box!r:.40}")
+        if cells not in CELLS:
+            raise UsageError(f"cells: expected one of {', '.join(CELLS)}, found {cells!r:.40}")
+        if abs(turn) > UNTURNED:
+            raise UsageError("a map that lies in the world by fixes is turned: write its box into the file by hand")
+        given = np.array(box, dtype=float) - (x0, y0, x0, y0)
+        if not np.isfinite(given).all():
+            raise UsageError(f"box: expected x0, y0, x1, y1, found {box!r:.40}")
+        return {"robot": here.robots[0], "box": [round(v, 3) + 0.0 for v in given.tolist()], "cells": cells}
 
     def _laid(self, here: WovenMap, other: WovenMap, pose: np.ndarray) -> Row:
         """The row of the first robots of two parts, the frame of the other of which lies at `pose` in this one's."""
@@ -381,6 +400,8 @@ class _Later(Future[Any]):
 
 def _key(row: Mapping[str, Any]) -> tuple[Any, ...]:
     """What a row is about."""
+    if "box" in row:
+        return (row["robot"], *row["box"])
     names = ("a", "b") if "a" in row else ("robot_a", "stamp_a", "robot_b", "stamp_b")
     return tuple(row[name] for name in names)
 

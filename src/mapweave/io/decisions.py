@@ -8,7 +8,7 @@ from typing import Any
 
 from ..core.errors import ReaderError
 from ..laser.laser_map import LaserMap
-from ..mapping.decisions import APART, TOGETHER, WORDS, Decisions, Key, PairRow, PlaceRow, keyframe_at
+from ..mapping.decisions import APART, CELLS, TOGETHER, WORDS, Decisions, Key, MaskRow, PairRow, PlaceRow, keyframe_at
 from ..mapping.merge import Merge
 
 NAME = "decisions.toml"
@@ -17,6 +17,8 @@ HEAD = """\
 # decides), and give the file back: mapweave map LOGS --decisions decisions.toml
 # `found` is what the scans say: rows whose decision is the same are left to them. Further rows may be added.
 # pose: of the second in the frame of the first, x, y [m] and theta [rad].
+# A row of [[masks]] has `robot`, `box` = [x0, y0, x1, y1] [m] in that robot's own map, and `cells`: "free" erases the
+# walls there, "unknown" forgets whatever was seen there.
 """
 PAIR = {"a": str, "b": str, "decision": str, "found": str, "pose": list}
 PLACE = {
@@ -28,6 +30,7 @@ PLACE = {
     "found": str,
     "pose": list,
 }
+MASK = {"robot": str, "box": list, "cells": str}
 MAY = {"found", "pose"}
 
 
@@ -52,6 +55,9 @@ def decisions_text(maps: Sequence[LaserMap], merges: Sequence[Merge], said: Deci
             out.append(_exact(told.pose))
         else:
             out += [] if row.pose is None else [_pose(row.pose)]
+    for mask in () if said is None else said.masks:
+        box = ", ".join(map(repr, mask.box))
+        out += ["", "[[masks]]", f"robot = {_quoted(mask.robot)}", f"box = [{box}]", f"cells = {_quoted(mask.cells)}"]
     return "\n".join(out) + "\n"
 
 
@@ -100,14 +106,15 @@ def read_decisions(path: Path) -> Decisions:
 
 def decisions_of(held: Mapping[str, Any], path: object = "decisions") -> Decisions:
     """The rows of tables as the file holds them. Raises ReaderError with all that is wrong with them."""
-    unknown = [name for name in held if name not in {"logs", "pairs", "places"}]
-    wrong = [f"unknown table {name!r}, expected logs, pairs or places" for name in unknown]
+    unknown = [name for name in held if name not in {"logs", "pairs", "places", "masks"}]
+    wrong = [f"unknown table {name!r}, expected logs, pairs, places or masks" for name in unknown]
     logs = held.get("logs", {})
     if not isinstance(logs, Mapping) or not all(isinstance(v, str) for v in logs.values()):
         wrong.append("logs: expected a text a robot")
         logs = {}
     pairs = tuple(PairRow(**row) for row in _rows(held, "pairs", PAIR, wrong))
     places = tuple(PlaceRow(**row) for row in _rows(held, "places", PLACE, wrong))
+    masks = tuple(MaskRow(**row) for row in _rows(held, "masks", MASK, wrong))
     seen: dict[object, str] = {}
     words = [(frozenset({row.a, row.b}), row.decision) for row in pairs]
     for key, decision in (*words, *((row.key, row.decision) for row in places)):
@@ -122,7 +129,7 @@ def decisions_of(held: Mapping[str, Any], path: object = "decisions") -> Decisio
     if wrong:
         more = f"; and {len(wrong) - MOST} more" if len(wrong) > MOST else ""
         raise ReaderError(path, "; ".join(wrong[:MOST]) + more)
-    return Decisions(dict(logs), pairs, places)
+    return Decisions(dict(logs), pairs, places, masks)
 
 
 MOST = 10  # mistakes that are told at once
@@ -148,6 +155,8 @@ def _rows(held: Mapping[str, Any], table: str, fields: Mapping[str, type], wrong
                 made[name] = float(made[name])
         if "pose" in made:
             made["pose"] = tuple(map(float, made["pose"]))
+        if "box" in made:
+            made["box"] = tuple(map(float, made["box"]))
         out.append(made)
     return out
 
@@ -157,11 +166,13 @@ def _mistake(name: str, value: object, kind: type) -> str:
         right = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
         return "" if right else f"{name}: expected a stamp in seconds, found {value!r:.40}"
     if kind is list:
-        numbers = isinstance(value, list) and len(value) == 3 and all(not _mistake(name, v, float) for v in value)
-        return "" if numbers else f"pose: expected x, y, theta, found {value!r:.40}"
+        told = "x0, y0, x1, y1" if name == "box" else "x, y, theta"
+        many = told.count(",") + 1
+        numbers = isinstance(value, list) and len(value) == many and all(not _mistake(name, v, float) for v in value)
+        return "" if numbers else f"{name}: expected {told}, found {value!r:.40}"
     if not isinstance(value, str):
         return f"{name}: expected a text, found {value!r:.40}"
-    known = WORDS if name == "decision" else (TOGETHER, APART, "") if name == "found" else None
+    known = {"decision": WORDS, "found": (TOGETHER, APART, ""), "cells": CELLS}.get(name)
     return "" if known is None or value in known else f"{name}: expected one of {', '.join(known)}, found {value!r:.40}"
 
 
@@ -173,14 +184,14 @@ def expect_of(decisions: Decisions, maps: Sequence[LaserMap], path: object) -> N
             raise ReaderError(
                 path, f"it is of another result: the scans of robot {robot} are not those of {there[robot].source}"
             )
-    for row in decisions.pairs:
-        for robot in (row.a, row.b):
-            if row.edited and robot not in there:
-                raise ReaderError(path, f"there is no robot {robot} among {', '.join(there)}")
-    for place in decisions.places:
-        for robot, t in ((place.robot_a, place.stamp_a), (place.robot_b, place.stamp_b)) if place.edited else ():
-            if robot not in there:
-                raise ReaderError(path, f"there is no robot {robot} among {', '.join(there)}")
+    edited = [place for place in decisions.places if place.edited]
+    named = [robot for row in decisions.pairs if row.edited for robot in (row.a, row.b)]
+    named += [robot for place in edited for robot in (place.robot_a, place.robot_b)]
+    for robot in (*named, *(mask.robot for mask in decisions.masks)):
+        if robot not in there:
+            raise ReaderError(path, f"there is no robot {robot} among {', '.join(there)}")
+    for place in edited:
+        for robot, t in ((place.robot_a, place.stamp_a), (place.robot_b, place.stamp_b)):
             graph = there[robot].graph
             if graph is None or keyframe_at(graph, t) is None:
                 raise ReaderError(path, f"robot {robot} has no keyframe at {t} s")

@@ -7,10 +7,13 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
+from ..laser.laser_map import GridMap
 from ..laser.robot_graph import RobotGraph
 
 TOGETHER, APART, UNDECIDED = "together", "apart", "undecided"
 WORDS = (TOGETHER, APART, UNDECIDED)
+CELLS = ("free", "unknown")
+SEEN_FREE = 3  # beams that are counted through a wall that is said to be gone: free beyond doubt
 MOMENT = 0.05  # [s] from a stamp that is told to that of a keyframe
 
 Key = tuple[str, float, str, float]
@@ -59,12 +62,37 @@ class PairRow:
 
 
 @dataclass(frozen=True, slots=True)
+class MaskRow:
+    """What a map shows within a rectangle, whatever scans say. box: x0, y0, x1, y1 [m] in the robot's own map, whose
+    origin is its first pose; cells: "free", its walls are gone, or "unknown", nobody looked there.
+    """
+
+    robot: str
+    box: tuple[float, float, float, float]
+    cells: str
+
+    def on(self, grid: GridMap, T_map_robot: Float[np.ndarray, "3"]) -> GridMap:
+        """The grid with it, in whose frame the robot's own map lies at `T_map_robot`."""
+        rows, cols = np.indices(grid.shape)
+        centres = grid.origin + grid.resolution * (np.stack([cols, rows], axis=-1).reshape(-1, 2) + 0.5)
+        x, y = se2.act(se2.inverse(T_map_robot), centres).T.reshape(2, *grid.shape)
+        x0, y0, x1, y1 = self.box
+        there = (x >= min(x0, x1)) & (x <= max(x0, x1)) & (y >= min(y0, y1)) & (y <= max(y0, y1))
+        walls = there & (grid.hits > 0)
+        passes = np.where(there, 0, grid.passes) if self.cells == "unknown" else grid.passes + SEEN_FREE * walls
+        hits, feature, weight = (np.where(there, 0, held) for held in (grid.hits, grid.feature, grid.weight))
+        mean = np.where(there[..., None], 0, grid.mean)
+        return replace(grid, hits=hits, passes=passes, mean=mean, feature=feature, weight=weight)
+
+
+@dataclass(frozen=True, slots=True)
 class Decisions:
     """All rows of a file. logs: robot -> digest of the scans that the rows are of."""
 
     logs: Mapping[str, str]
     pairs: tuple[PairRow, ...] = ()
     places: tuple[PlaceRow, ...] = ()
+    masks: tuple[MaskRow, ...] = ()
 
     def pair(self, a: str, b: str) -> PairRow | None:
         """What somebody says of two robots otherwise than their scans, seen from robot a."""

@@ -1,6 +1,6 @@
 /* Deciding on places and robots, on a page of `mapweave edit`. */
 const by = (id) => document.getElementById(id);
-let state = null, shown = null, chosen = null, hand = [0, 0, 0], busy = false;
+let state = null, shown = null, chosen = null, hand = [0, 0, 0], box = null, busy = false;
 
 async function ask(path, asked = {}) {
   if (busy) return;
@@ -95,6 +95,13 @@ function laid([x, y]) {
   return [hand[0] + c * x - s * y, hand[1] + s * x + c * y];
 }
 function drag(dx, dy, event) {
+  if (by("cells").value !== "") {
+    const edge = by("map").querySelector("canvas").getBoundingClientRect();
+    const at = [shown.view.fromX(event.clientX - edge.left), shown.view.fromY(event.clientY - edge.top)];
+    box = box ? [box[0], box[1], ...at] : [at[0] - dx, at[1] - dy, ...at];
+    shown.draw();
+    return true;
+  }
   if (by("lay").value === "") return false;
   if (event.shiftKey) turnBy(dx * shown.view.scale * 0.005);
   else {
@@ -104,7 +111,20 @@ function drag(dx, dy, event) {
   return true;
 }
 
+function boxDrawn() {
+  if (!box) return;
+  const asked = { box, cells: by("cells").value, part: state.part };
+  [box, by("cells").value] = [null, ""];
+  ask("/decide", asked);
+}
+
 function over(pen, view) {
+  if (box) {
+    const [x0, y0, x1, y1] = [view.toX(box[0]), view.toY(box[1]), view.toX(box[2]), view.toY(box[3])];
+    pen.strokeStyle = css("--warn");
+    pen.lineWidth = 2;
+    pen.strokeRect(Math.min(x0, x1), Math.min(y0, y1), Math.abs(x1 - x0), Math.abs(y1 - y0));
+  }
   if (by("lay").value !== "") {
     pen.fillStyle = css("--warn");
     for (const point of state.outlines[+by("lay").value]) {
@@ -171,5 +191,6 @@ by("here").addEventListener("click", () => ask("/decide", { lay: +by("lay").valu
 by("part").addEventListener("change", () => ask("/state", { part: +by("part").value }));
 by("lay").addEventListener("change", lay);
 by("turn").addEventListener("input", () => turnBy((by("turn").value * Math.PI) / 180 - hand[2]));
+window.addEventListener("pointerup", boxDrawn);
 window.addEventListener("beforeunload", (event) => state && !state.saved && event.preventDefault());
 ask("/state", {});

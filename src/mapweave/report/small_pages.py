@@ -97,6 +97,8 @@ _BODY = """
 <label id="other" hidden>lay on it <select id="lay"></select></label><span id="hand" hidden>drag to move, with shift to
 turn <label>by <input id="turn" type="range" min="-180" max="180" step="0.5" value="0"></label>
 <button id="here">it lies here</button></span>
+<label>drag to <select id="cells"><option value="">move</option><option value="free">erase walls</option>
+<option value="unknown">forget a region</option></select></label>
 <button id="undo">undo</button><button id="save">save</button></div>
 <div id="place" class="card" hidden><b></b><span></span><div class="bar">
 <button data-word="together">believe it</button><button data-word="apart">forbid it</button>
@@ -108,7 +110,10 @@ turn <label>by <input id="turn" type="range" min="-180" max="180" step="0.5" val
 
 def editing_page(title: str) -> str:
     """The whole page; it asks `/state.json` for what it shows and posts to `/decide`, `/undo`, `/save`."""
-    page = Page(title, "Click a line between two places to believe or forbid it; all is solved again at once.")
+    page = Page(
+        title,
+        "Click a line between two places to believe or forbid it, or drag over walls to erase; all is solved anew.",
+    )
     page.parts.append(_BODY)
     return page.html(f"{script()}{_script()}")
 
