@@ -73,7 +73,7 @@ MENDS = {  # cause: what it is in words, and what mends it
         "landmarks bear each other's names, or were misread",
         "correct the labels, or leave those landmarks out",
     ),
-    "slip": ("the wheels slip or stall", "lean on the scans: `[laser.odometry]` and the wheels' noise in --config"),
+    "slip": ("the wheels slip or stall", "mend or slow them, or give another odometry (--odom-topic)"),
     "scale": (
         "wheels and ranges have different scales",
         "calibrate the wheels, and compare the map with a length that you know",
