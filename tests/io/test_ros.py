@@ -247,3 +247,36 @@ def test_a_recording_whose_only_scan_has_no_return_is_read_and_says_so(tmp_path)
     out.scan(1.0, np.zeros(5))
     log = read_laser(out.write())
     assert "scans-blind" in {f.code for f in log.findings}
+
+
+def lit(tmp_path, light_of, scans=40):
+    """A log whose scan k has the intensities that `light_of` gives for k."""
+    out = Recording(tmp_path / "lit.bag")
+    for k in range(scans):
+        out.scan(10.0 + 0.1 * k, wall(k), light_of(k))
+    return read_laser(out.write())
+
+
+@pytest.mark.parametrize("length", [1, N - 1, N + 1, 2 * N])
+def test_intensities_of_another_number_than_ranges_are_left_out_and_told(tmp_path, length):
+    log = lit(tmp_path, lambda _: np.linspace(10.0, 900.0, length))
+    assert not log.has_intensity
+    assert len(log.scans) == 40
+    told = [f.text for f in log.findings if f.code == "light-unused"]
+    assert len(told) == 1
+    assert "40 of 40 scans hold another number of them than of ranges" in told[0]
+
+
+def test_a_scan_with_another_number_of_intensities_among_many_is_dropped(tmp_path):
+    log = lit(tmp_path, lambda k: np.linspace(10.0, 900.0, N - (k == 7)))
+    assert log.has_intensity
+    assert log.dropped == {"scan without intensities": 1}
+    assert all(len(scan.intensities) == len(scan.ranges) for scan in log.scans)
+
+
+@pytest.mark.parametrize("without", [3, 20])
+def test_a_log_whose_first_scans_have_no_intensity_is_read_whole_without_and_says_so(tmp_path, without):
+    log = lit(tmp_path, lambda k: None if k < without else np.linspace(10.0, 900.0, N))
+    assert not log.has_intensity
+    assert len(log.scans) == 40
+    assert any(f"{without} of 40 scans have none" in f.text for f in log.findings if f.code == "light-unused")

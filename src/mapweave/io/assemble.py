@@ -274,6 +274,10 @@ class RawLog:
     def _with_intensities(self, scans: list[RawScan]) -> list[RawScan]:
         have = [raw.intensities is not None and len(raw.intensities) == len(raw.ranges) for raw in scans]
         without = have.count(False)
+        other = sum(bool(raw.intensities is not None and len(raw.intensities)) for raw in scans) - have.count(True)
+        if other and without > FEW * len(scans):
+            self.find("light-unused", f"{other} of {len(scans)} scans hold another number of them than of ranges")
+            return [replace(raw, intensities=None) for raw in scans]
         if without == len(scans):
             return [replace(raw, intensities=None) for raw in scans]
         if without > FEW * len(scans):
