@@ -602,7 +602,7 @@ COMMANDS: dict[str, Command | dict[str, Command]] = {
     ),
     "self-test": Command(
         verb="api.self_test:self_test",
-        does="Try every kind of job on small simulated data; exit status 1 where one comes out wrong.",
+        does="Check the installation by small jobs of every kind; exit status 1 where one comes out wrong.",
         example="self-test",
         extra={"json": Option(kind=bool, help="Print JSON.")},
         said=_diagnosis,
