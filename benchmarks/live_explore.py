@@ -5,7 +5,7 @@
 The map process is a process of its own. Robots stand in one office and are `LiveLaser`s of this one: each tells a scan
 of 360 beams every half second of driving, asks for its place, its goal and the map (cells of 0.2 m), and takes the next
 command on the way there; it knows nothing of the world but that. All starts are told the map process. `--rate`: seconds
-of driving in one by the clock.
+of driving in one by the clock. Robots in maps apart drive on after `--seconds`, until they have been in one for 20 s.
 
 Seen: of the ground that robots reach, what the team's map shows as free in the end. Place off: the robots' places in
 the team's map against the truth, every half second of driving. Processor: of the map process until the end.
@@ -44,6 +44,8 @@ CFG = LaserExploreConfig()
 WAY_AGAIN = 4  # steps until the way to a goal is looked for anew: the map has grown
 STUCK = 8  # steps on one spot with a goal
 ASIDE = 5  # steps away from what is near, then
+TOGETHER = 20.0  # [s] that they drive on for once they are in one map,
+LONGER = 4.0  # but no more than so many times as long as is asked: a slow machine ties them late, or chance does
 NOBODY = np.zeros((0, 2))
 START = START_NS / 1e9  # [s]
 
@@ -121,7 +123,7 @@ def mapping(folder: Path, starts: np.ndarray):
 
 
 def explored(robots: int, area: float, rate: float, seconds: float, floor: int = 0, say=lambda _: None) -> dict:
-    """One team, until nothing is left to see or `seconds` of driving are over."""
+    """One team, until nothing is left to see or `seconds` of driving are over; longer while they are in maps apart."""
     office = office_floor(area, floor)
     starts = office.starts[:robots]
     sim = LaserTeamSim(office.world, starts, LaserRobotsConfig(), floor)
@@ -141,11 +143,13 @@ def explored(robots: int, area: float, rate: float, seconds: float, floor: int =
         sending.start()
         begin = time.monotonic()
         try:
-            while sending.is_alive() and sim.t - START < seconds:
+            apart = START  # when they were last
+            while sending.is_alive() and sim.t - START < min(max(seconds, apart - START + TOGETHER), LONGER * seconds):
                 scans = [sim.scan(j) for j in range(robots)]
                 for driver, scan in zip(drivers, scans, strict=True):
                     tell(driver.robot, sim.t, scan)
                 places = [driver.robot.place for driver in drivers]
+                apart = apart if {place and place.part for place in places} == {1} else sim.t
                 for j, (driver, place) in enumerate(zip(drivers, places, strict=True)):
                     there = place is not None and places[0] is not None
                     if there and places[0].part == place.part == 1:  # in the first one's frame
@@ -197,7 +201,7 @@ def main() -> None:
     parser.add_argument("--robots", default="1,2,4")
     parser.add_argument("--area", type=float, default=150.0, help="of the office [m^2]")
     parser.add_argument("--rate", type=float, default=2.0, help="seconds of driving in one by the clock")
-    parser.add_argument("--seconds", type=float, default=240.0, help="of driving at most")
+    parser.add_argument("--seconds", type=float, default=240.0, help="of driving, for robots in one map")
     parser.add_argument("--floor", type=int, default=0, help="seed of the office")
     parser.add_argument("--say", action="store_true", help="print the goals too")
     given = parser.parse_args()
