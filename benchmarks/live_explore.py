@@ -6,6 +6,7 @@ The map process is a process of its own. Robots stand in one office and are `Liv
 of 360 beams every half second of driving, asks for its place, its goal and the map (cells of 0.2 m), and takes the next
 command on the way there; it knows nothing of the world but that. All starts are told the map process. `--rate`: seconds
 of driving in one by the clock. Robots in maps apart drive on after `--seconds`, until they have been in one for 20 s.
+Robots a step from each other move by turns, as if each heard that another is near: half a second is long to react in.
 
 Seen: of the ground that robots reach, what the team's map shows as free in the end. Place off: the robots' places in
 the team's map against the truth, every half second of driving. Processor: of the map process until the end.
@@ -99,6 +100,13 @@ def away_from(points: np.ndarray) -> np.ndarray:
     return commands[np.argmax(np.where(free, room, -np.inf))]
 
 
+def in_turns(commands: np.ndarray, places: np.ndarray, step: int) -> np.ndarray:
+    """The commands, but robots so near to one another that both could drive into each other move one at a time."""
+    near = np.hypot(*(places[:, None] - places).T) < 2 * (CFG.radius + CFG.speed * CFG.period + CFG.guard)
+    turn = (step + np.arange(len(places))) % len(places) == 0
+    return np.where(((near.sum(axis=0) == 1) | turn)[:, None], commands, 0.0)
+
+
 @contextlib.contextmanager
 def mapping(folder: Path, starts: np.ndarray):
     """A map process, and where it listens."""
@@ -156,7 +164,8 @@ def explored(robots: int, area: float, rate: float, seconds: float, floor: int =
                         off = se2.between(se2.between(starts[0], sim.true_poses[j]), place.pose)
                         driver.errors.append(float(np.hypot(*off[:2])))
                 time.sleep(max(0.0, begin + sim.steps * CFG.period / rate - time.monotonic()))
-                sim.step(np.array([d.command(sim.steps, points_of(s)) for d, s in zip(drivers, scans, strict=True)]))
+                asked = np.array([d.command(sim.steps, points_of(s)) for d, s in zip(drivers, scans, strict=True)])
+                sim.step(in_turns(asked, sim.true_poses[:, :2], sim.steps))
         finally:
             done.set()
             sending.join()
