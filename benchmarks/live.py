@@ -187,6 +187,7 @@ def measured(sensor: str, robots: int, rate: float, seconds: float, *, flood: bo
         if stranger is not None:
             stranger.kill()
             stranger.wait()
+        waited_for(Path(folder, "count"), len(sent), 30.0)
         mapping.terminate()
         mapping.wait()
         found = json.loads(Path(folder, "placed.json").read_text())
@@ -216,6 +217,16 @@ def measured(sensor: str, robots: int, rate: float, seconds: float, *, flood: bo
         "over_time": found["over_time"],
         "refused": found["refused"],
     }
+
+
+def waited_for(count: Path, messages: int, seconds: float) -> None:
+    """Until so many messages are in their places, but not for longer: a loaded machine hears late what it hears."""
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        told = count.read_text().split() if count.exists() else []
+        if len(told) == 2 and int(told[0]) >= messages:
+            return
+        time.sleep(0.1)
 
 
 def flooding(at: str) -> None:
@@ -276,7 +287,8 @@ def told_by_all(every: list, robots: int, at: str) -> dict[tuple[str, int], floa
 class Timed(inboxes.Inbox):
     """An inbox that notes when each message was in its place and on disk."""
 
-    def __init__(self, store: Store, expected: list[str] | None) -> None:
+    def __init__(self, store: Store, expected: list[str] | None, count: Path) -> None:
+        self.count = count
         self.placed: list[tuple[str, int, float]] = []
         self.fresh: list[tuple[str, int]] = []
         super().__init__(store, expected)
@@ -290,6 +302,7 @@ class Timed(inboxes.Inbox):
         now = time.time()
         self.placed += [(robot, seq, now) for robot, seq in self.fresh]
         self.fresh = []
+        self.count.write_text(f"{len(self.placed)} messages")
 
 
 class TimedMap(MapProcess):
@@ -331,7 +344,7 @@ def mapping(folder: Path, *, hidden: bool, expected: list[str] | None = None) ->
     warmed()
     network, at = Network(listen=("tcp/127.0.0.1:0",)), list[str]()
     with Store(folder / "map.sqlite", "a map of team") as store, session(network, at.append) as opened:
-        inbox = Timed(store, expected)
+        inbox = Timed(store, expected, folder / "count")
         process = TimedMap("map", opened, Topics("team"), store, inbox, lambda _: None)
         if not hidden:
             process.starts = lambda names: starts_among(names, dict.fromkeys(names, (0.0, 0.0, 0.0)), MergeConfig())
