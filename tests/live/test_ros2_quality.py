@@ -12,7 +12,6 @@ from mapweave.api.live_ros2 import RosOptions
 from mapweave.api.map_laser import map_logs
 from mapweave.api.map_options import MapOptions
 from mapweave.core import se2
-from mapweave.live.ros2 import assembly
 from mapweave.live.transport import Network
 from mapweave.sim.laser import drive
 from mapweave.sim.laser_worlds import OfficeConfig, office_route, office_world
@@ -105,7 +104,6 @@ def woven(logs):
 @pytest.mark.slow
 def test_two_scanners_and_two_robots_through_ros_map_as_well_as_their_recordings(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(assembly, "PATIENCE", RATE * assembly.PATIENCE)  # as long by our clock
     simulated = [driven(1, (FRONT, REAR)), driven(2)]
     logs = [log for log, _ in simulated]
     at = free_endpoint()

@@ -1,5 +1,6 @@
 """Which robots a ROS graph holds, and what their messages make: mounts, odometry, and what is refused and counted."""
 
+import itertools
 import math
 
 import numpy as np
@@ -10,13 +11,20 @@ from mapweave.laser.laser_map import GridMap
 from mapweave.live.door import decode
 from mapweave.live.laser_stream import beams_of, scan_of
 from mapweave.live.messages import RefusedError, Scans, encode
-from mapweave.live.ros2 import cdr
+from mapweave.live.ros2 import assembly, cdr
 from mapweave.live.ros2.assembly import GAP, LEAP, PATIENCE, Assembly
 from mapweave.live.ros2.feed import Graph, chosen
 from mapweave.live.ros2.shown import grid_of, pose_of
 from mapweave.live.ros2.wire import NO_HASH, Entity, Topic
 
 from . import ros_peer
+
+
+@pytest.fixture(autouse=True)
+def clock(monkeypatch):
+    """Our clock: ten seconds later whenever it is read."""
+    monkeypatch.setattr(assembly, "monotonic", itertools.count(0.0, 10.0).__next__)
+
 
 RANGES = [1.0, 2.0, math.inf, math.nan, 0.01, 3.0]
 
@@ -207,6 +215,24 @@ def test_scans_for_which_no_odometry_comes_at_all_do_not_wait_for_ever():
     assert made.refused == {"odometry": 1}
     made.ready(all_of_them=True)
     assert made.refused == {"odometry": 3}
+
+
+def test_a_drive_that_is_played_fast_waits_for_its_odometry_by_our_clock_too(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(assembly, "monotonic", lambda: now[0])
+    made = fed(Assembly(), mounted(), odometry(10.0), scan(10.1), scan(12.5))
+    now[0] = PATIENCE
+    assert made.ready()[0] == []
+    assert not made.refused
+    fed(made, odometry(10.5, (1.0, 0.0, 0.0)))
+    ((t, placed),), _ = made.ready()
+    assert t == 10.1
+    assert placed.odometry.tolist() == pytest.approx([0.2, 0.0, 0.0])
+    made.ready()
+    fed(made, scan(15.0))
+    now[0] = 2 * PATIENCE + 0.1
+    assert made.ready()[0] == []
+    assert made.refused == {"odometry": 1}
 
 
 def test_a_clock_that_is_set_back_is_refused_until_it_has_passed():

@@ -4,6 +4,7 @@ from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from ..door import GREATEST, MOST_BEAMS, expect_steps
 from ..laser_feed import Row, Stamped
 from ..messages import RefusedError
 
-PATIENCE = 2.0  # [s] of the robot's clock that a scan waits for odometry and for its frame
+PATIENCE = 2.0  # [s] of the robot's clock, and of ours, that a scan waits for odometry and for its frame
 GAP = 1.0  # [s] without odometry: scans within are not placed by what is before and after
 LEAP = 60.0  # [s] that a stamp may be ahead of the one before; more is believed when three in a row say so
 SURE = 3
@@ -67,7 +68,7 @@ class Assembly:
         self._wheels_clock = Clock("odometry")
         self._scanners: dict[str, Clock] = {}
         self._told_until: float | None = None  # [s] stamp of the last scan that was told
-        self._waiting: deque[tuple[RawScan, str]] = deque()
+        self._waiting: deque[tuple[RawScan, str, float]] = deque()  # each with its frame, and when it came
         self._undecided: deque[tuple[float, tuple[float, float, float], tuple[str, str]]] = deque(maxlen=UNDECIDED)
         self._rows: list[Row] = []
         self._fresh: list[Row] = []
@@ -151,7 +152,7 @@ class Assembly:
         name = frame(message.header.frame_id)
         self.sensor_frame = self.sensor_frame or name
         after = next((k for k in range(len(self._waiting), 0, -1) if self._waiting[k - 1][0].t <= raw.t), 0)
-        self._waiting.insert(after, (raw, name))
+        self._waiting.insert(after, (raw, name, monotonic()))
         if len(self._waiting) > MOST_WAITING:
             self._waiting.popleft()
             self.refuse(RefusedError("late", "scans that nothing placed"))
@@ -192,10 +193,10 @@ class Assembly:
         """
         out: list[Stamped] = []
         while self._waiting:
-            raw, name = self._waiting[0]
+            raw, name, came = self._waiting[0]
             placed = self._placed(raw, name)
             newest = max((clock.last or 0.0) for clock in self._scanners.values())
-            late = all_of_them or newest - raw.t > PATIENCE
+            late = all_of_them or (newest - raw.t > PATIENCE and monotonic() - came > PATIENCE)
             if not late and (isinstance(placed, RefusedError) or self._earlier_may_come(raw.t)):
                 break
             self._waiting.popleft()
