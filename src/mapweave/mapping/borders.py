@@ -51,11 +51,8 @@ def decide_borders(graph: KeyframeGraph) -> tuple[int, ...]:
         others = [e for e, c in ways if not same_place(b, c.transform, best.transform, cfg)]
         if LEAD * max(others, default=0.0) > most:
             unclear.append(k)
-        false = [
-            n
-            for n, h in zip(over, found, strict=True)
-            if apart(b, h, best.transform, 2.0 * cfg.agree, 2.0 * cfg.agree_turn) > 1.0
-        ]
+        away = apart(b, found, best.transform, 2.0 * cfg.agree, 2.0 * cfg.agree_turn) > 1.0
+        false = [n for n, is_away in zip(over, away.tolist(), strict=True) if is_away]
         for n in false:
             share = f"{100.0 * best.seen.share:.0f} % of what both sides saw is alike"
             graph.closures[n] = replace(graph.closures[n], accepted=False, reason=f"{ELSEWHERE}, where {share}")

@@ -15,6 +15,7 @@ from ..core.findings import Finding
 from ..core.records import frozen
 from ..core.rows import spread
 from ..kernels.laser.place_refine import fit_normals
+from ..kernels.mapping.views import judge_walls
 from ..laser.robot_graph import RobotGraph
 from ..laser.submaps import gathered
 from .submaps import PlaceSubmap, PlaceSubmapConfig, extent, make_submap, middles, way_of
@@ -23,7 +24,7 @@ OFTEN = 3  # views that show a wall, and that go through it: neither was somebod
 SEEN_THROUGH = 0.06  # of the walls of a right map at most: 0.04 in those given, 0.11 and more in wrong ones
 VIEWS = 200  # keyframes whose views are asked for that
 MOST_BINS, LEAST_BINS = 360, 60  # directions of a keyframe's view, wider than its beams are apart
-_BESIDE = np.array([[-1], [0], [1]])  # a direction and those beside it
+FEW = 10  # walls within reach of a view that says nothing of them
 
 
 @config
@@ -198,23 +199,13 @@ def _judged(
     A view is the nearest return in each direction; what is behind it is unknown. A wall that was seen from one side
     and in the view from the other says nothing.
     """
-    same, through = np.zeros(len(walls), dtype=np.int64), np.zeros(len(walls), dtype=np.int64)
     if not len(walls):
-        return same, through
-    around_each = cKDTree(walls).query_ball_point(a.pose[:, :2], cfg.reach, return_sorted=False)
-    near = [k for k, seen in enumerate(around_each) if len(seen) > 10]
-    near = [near[k] for k in spread(len(near), cfg.views).tolist()]
-    bins = a.views.shape[1]
-    for k in near:
-        seen = np.array(around_each[k], dtype=np.int64)
-        r, at = _polar(se2.act(se2.inverse(a.pose[k]), walls[seen]), bins)
-        around = a.views[k][(at + _BESIDE) % bins]
-        known = np.isfinite(around).all(axis=0)
-        like = known & (np.abs(around - r) < cfg.same + cfg.same_share * r).any(axis=0)
-        facing = ((a.pose[k, :2] - walls[seen]) * side[seen]).sum(axis=1)
-        same[seen] += like & (facing > -cfg.sided * r)
-        through[seen] += known & ~like & (around.min(axis=0) - r > cfg.through)
-    return same, through
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    around = np.asarray(cKDTree(walls).query_ball_point(a.pose[:, :2], cfg.reach, return_length=True))
+    near = np.flatnonzero(around > FEW)
+    near = near[spread(len(near), cfg.views)]
+    args = cfg.reach, cfg.same, cfg.same_share, cfg.through, cfg.sided
+    return judge_walls(a.pose[near], a.views[near], np.ascontiguousarray(walls), np.ascontiguousarray(side), *args)
 
 
 def lit_alike(

@@ -20,7 +20,7 @@ from ..core.rows import spread
 from ..laser.consistency import adjoint, cycle_squares, largest_clique
 from ..laser.place_search import refine
 from .map_overlap import KeyframeMap, seen_alike, wall_overlap
-from .merge_ambiguity import Pair, allowed, doubtful, slides, words
+from .merge_ambiguity import Grip, Pair, allowed, doubtful, grip, words
 from .merge_search import (
     Candidate,
     Hypothesis,
@@ -34,6 +34,7 @@ from .merge_search import (
     same_place,
     whole_place,
 )
+from .merge_trust import Grounds
 
 SAID_SD, SAID_SD_TURN = 0.1, 0.03  # [m], [rad] of a transform that somebody tells,
 NUDGE, NUDGE_TURN = 0.5, 0.1  # [m], [rad] that walls may move it by
@@ -69,7 +70,8 @@ class Merge:
     on it; second: that of the next best transform, over it; agreeing: submaps that confirm it; chi2: of their
     closures; alike: of what both robots saw, the share on which they agree; rival: the next best transform; best: the
     transform that all this was asked of, T_a_b, also when refused, None where no submap was found. said: what somebody
-    said of the pair, empty where it is the scans that decide; scans: whether they merge it.
+    said of the pair, empty where it is the scans that decide; scans: whether they merge it; grounds: what the decision
+    rests on in numbers, None where a start was given or somebody said.
     """
 
     a: str
@@ -89,6 +91,12 @@ class Merge:
     closures: tuple[MapClosure, ...] = ()
     said: str = ""
     scans: bool | None = None
+    grounds: Grounds | None = None
+
+    @property
+    def probability(self) -> float | None:
+        """That the maps lie as `best` has it, merged or not; None where a start was given or somebody said."""
+        return None if self.grounds is None or self.said else self.grounds.probability()
 
     def row(self) -> dict[str, Any]:
         """The pair as `metrics.json` tells it under `fusion`."""
@@ -101,6 +109,7 @@ class Merge:
             "agreeing": self.agreeing,
             "chi2": self.chi2,
             "alike": self.alike,
+            "probability": self.probability,
             "transform": None if self.transform is None else self.transform.tolist(),
             "decision": "merged" if self.merged else "refused",
             "said": self.said or None,
@@ -219,8 +228,8 @@ def _decided(pair: Pair) -> Merge:
     a, b, _, cfg, _ = pair[:5]
     matches = hypotheses(a, b, cfg)
     if not matches:
-        what = f"none of {len(b.submaps)} submaps is found in the other map"
-        return Merge(a.robot, b.robot, merged=False, reason=f"too little overlap: {what}")
+        reason = f"too little overlap: none of {len(b.submaps)} submaps is found in the other map"
+        return Merge(a.robot, b.robot, False, reason, grounds=Grounds() if pair.start is None else None)
     return _weighed(pair, candidates(a, b, matches, cfg), matches)
 
 
@@ -259,11 +268,16 @@ def _weighed(pair: Pair, ways: Sequence[Candidate], matches: Sequence[Hypothesis
         best=frozen(best.transform),
         closures=tuple(c for _, c in checked),
     )
-    alike = pair.alike_for(best, len(held), max((c.votes for c in others), default=0))
-    why = _why_refused(pair, merge, best, rival, needed, alike)
+    rival_votes = max((c.votes for c in others), default=0)
+    alike = pair.alike_for(best, len(held), rival_votes)
+    hold = grip(pair, best, alike) if best.seen.share >= alike and best.seen.alike >= cfg.least_seen else None
+    why = _why_refused(pair, merge, best, rival, needed, alike, hold)
+    spread = _spread(held, b, best.transform) if held else 0.0
+    grounds = _grounds(pair, best, rival, len(held), rival_votes, hold, spread)
+    merge = replace(merge, grounds=grounds if start is None else None)
     if why:
         return replace(merge, reason=why, overlap=None if "too little overlap" in why else merge.overlap)
-    on = f"{len(held)} closures that agree within {_spread(held, b, best.transform):.2f} m"
+    on = f"{len(held)} closures that agree within {spread:.2f} m"
     if needed == 1:
         on = f"the whole maps: {best.seen.alike} places of walls that both saw agree"
     reason = f"merged on {on}: {100 * best.seen.share:.0f} % of what both robots saw is alike"
@@ -274,17 +288,36 @@ def _weighed(pair: Pair, ways: Sequence[Candidate], matches: Sequence[Hypothesis
     )
 
 
+def _grounds(
+    pair: Pair, best: Candidate, rival: Candidate | None, agreeing: int, rivals: int, hold: Grip | None, spread: float
+) -> Grounds:
+    """What the decision rests on, as numbers. rivals: submaps, at most, that say so of another transform."""
+    seen, evidence = best.seen, max(pair.evidence(best), 1.0)
+    return Grounds(
+        *(agreeing, best.votes, rivals, seen.alike, seen.through, seen.clear),
+        rival=0.0 if rival is None else float(np.clip(pair.evidence(rival) / evidence, 0.0, 1.0)),
+        allowed=rival is not None and allowed(pair, rival, best),
+        pushed=1.0 if hold is None else min(hold.pushed, 1.0),
+        held=0.0 if hold is None else hold.held,
+        spread=spread,
+    )
+
+
 def _certain(best: Candidate, cfg: MergeConfig) -> bool:
     """Whether the whole maps alone tell that they lie so: much in common, and nothing amid free floor."""
     return best.evidence(cfg.alike) >= cfg.certain and best.seen.clear >= cfg.clear
 
 
-def _why_refused(pair: Pair, merge: Merge, best: Candidate, rival: Candidate | None, needed: int, alike: float) -> str:
-    """The reason in words, empty when there is none. The most telling cause comes first."""
-    cfg = pair.cfg
-    good = best.seen.share >= alike and best.seen.alike >= cfg.least_seen
-    if good and (along := slides(pair, best, alike)) is not None:
-        return f"a corridor: {along} is not held, the maps may slide along it"
+def _why_refused(
+    pair: Pair, merge: Merge, best: Candidate, rival: Candidate | None, needed: int, alike: float, hold: Grip | None
+) -> str:
+    """The reason in words, empty when there is none; the most telling cause first.
+
+    hold: how it holds, None where what both saw is not alike enough or too little.
+    """
+    cfg, good = pair.cfg, hold is not None
+    if hold is not None and hold.slides(cfg):
+        return f"a corridor: {hold.along} is not held, the maps may slide along it"
     if good and rival is not None and doubtful(pair, best, rival):
         which = f"two places of {robot_name(pair.b.robot)} in the map of {robot_name(pair.a.robot)}"
         first, second = (f"{words(c.transform)}, {100 * c.seen.share:.0f} %" for c in (best, rival))
@@ -304,7 +337,8 @@ def _why_refused(pair: Pair, merge: Merge, best: Candidate, rival: Candidate | N
 def _closures(pair: Pair, best: Candidate, matches: Sequence[Hypothesis]) -> list[tuple[Hypothesis, MapClosure]]:
     """Every place that is clear and lies about where the best transform has it, and whether it confirms that."""
     a, b, cfg = pair.a, pair.b, pair.cfg
-    near = [h for h in matches if h.clear and apart(b, h, best.transform, 2.0 * cfg.agree, 2.0 * cfg.agree_turn) <= 1.0]
+    far = apart(b, matches, best.transform, 2.0 * cfg.agree, 2.0 * cfg.agree_turn).tolist()
+    near = [h for h, away in zip(matches, far, strict=True) if h.clear and away <= 1.0]
     near = [near[k] for k in spread(len(near), MOST_CLOSURES).tolist()]
     rows = [_closure(a, b, h, best, cfg) for h in near]
     fit = [k for k, c in enumerate(rows) if c.accepted]

@@ -87,11 +87,24 @@ def doubtful(pair: Pair, best: Candidate, rival: Candidate) -> bool:
     return near or allowed(pair, rival, best)
 
 
-def slides(pair: Pair, best: Candidate, alike: float) -> str | None:
-    """Words for a direction along which the maps may be pushed without contradiction; None when they hold.
+class Grip(NamedTuple):
+    """How a place holds two maps along the direction that holds them least.
 
-    alike: share of what both saw on which they must agree.
+    along: that direction, in words; held: information along it over that across; pushed: the most evidence of the same
+    place pushed along it, over its own; 1 where `held` alone lets the maps slide.
     """
+
+    along: str
+    held: float
+    pushed: float
+
+    def slides(self, cfg: MergeConfig) -> bool:
+        """Whether the maps may be pushed along it without contradiction."""
+        return self.held < cfg.held or cfg.push_lead * self.pushed > 1.0
+
+
+def grip(pair: Pair, best: Candidate, alike: float) -> Grip:
+    """How a place holds that is allowed. alike: share of what both saw on which they must agree."""
     cfg = pair.cfg
     total = np.zeros((2, 2))
     for h in best.members:
@@ -102,15 +115,13 @@ def slides(pair: Pair, best: Candidate, alike: float) -> str | None:
         f"the direction of {np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])) % 180.0:.0f} degrees in the map of "
         f"{robot_name(pair.a.robot)}"
     )
-    if values[0] < cfg.held * values[1]:
-        return along
-    for step in cfg.slide:
-        for sign in (-1.0, 1.0):
-            pushed = best.transform + sign * step * np.array([*vectors[:, 0], 0.0])
-            seen = seen_alike(pair.a, pair.b, pushed, cfg.overlap)
-            if cfg.push_lead * best._replace(seen=seen).evidence(alike) > best.evidence(alike):
-                return along
-    return None
+    held = float(values[0]) / max(float(values[1]), 1e-12)
+    if held < cfg.held:
+        return Grip(along, held, 1.0)
+    pushes = [sign * step * np.array([*vectors[:, 0], 0.0]) for step in cfg.slide for sign in (-1.0, 1.0)]
+    seen = [seen_alike(pair.a, pair.b, best.transform + push, cfg.overlap) for push in pushes]
+    most = max(best._replace(seen=there).evidence(alike) for there in seen)
+    return Grip(along, held, max(most, 0.0) / max(best.evidence(alike), 1e-12))
 
 
 def words(T: Float[np.ndarray, "3"]) -> str:

