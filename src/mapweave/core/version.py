@@ -1,3 +1,3 @@
 """The version, told in every result."""
 
-__version__ = "0.1.0"
+__version__ = "0.4.0.dev0"

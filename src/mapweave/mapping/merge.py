@@ -94,9 +94,15 @@ class Merge:
     grounds: Grounds | None = None
 
     @property
-    def probability(self) -> float | None:
-        """That the maps lie as `best` has it, merged or not; None where a start was given or somebody said."""
-        return None if self.grounds is None or self.said else self.grounds.probability()
+    def probability_wrong(self) -> float | None:
+        """That the maps do not lie as `transform` has them; where they are refused, that they do lie as `best` has them.
+
+        None where a start was given or somebody said how they lie.
+        """
+        if self.grounds is None or self.said:
+            return None
+        right = self.grounds.probability()
+        return 1.0 - right if self.merged else right
 
     def row(self) -> dict[str, Any]:
         """The pair as `metrics.json` tells it under `fusion`."""
@@ -109,7 +115,7 @@ class Merge:
             "agreeing": self.agreeing,
             "chi2": self.chi2,
             "alike": self.alike,
-            "probability": self.probability,
+            "probability_wrong": self.probability_wrong,
             "transform": None if self.transform is None else self.transform.tolist(),
             "decision": "merged" if self.merged else "refused",
             "said": self.said or None,

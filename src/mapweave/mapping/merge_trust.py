@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 UNCLEAR = 0.003  # of what both saw, added to the share that is not alike: half a point of a few hundred
+LEAST = 0.002  # probability that is told: of a thousand pairs and more none or one tells less
 WEIGHTS: tuple[float, ...] = (0.0,) * 11
 
 
@@ -54,5 +55,6 @@ class Grounds(NamedTuple):
         )
 
     def probability(self) -> float:
-        """That the maps lie within 0.5 m and 5 degrees of the best transform."""
-        return 1.0 / (1.0 + math.exp(-float(self.features() @ np.asarray(WEIGHTS))))
+        """That the maps lie within 0.5 m and 5 degrees of the best transform; never surer than the trials can tell."""
+        odds = float(self.features() @ np.asarray(WEIGHTS))
+        return float(np.clip(1.0 / (1.0 + math.exp(-np.clip(odds, -50.0, 50.0))), LEAST, 1.0 - LEAST))

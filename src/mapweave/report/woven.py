@@ -99,6 +99,8 @@ MOST_PICTURES = 12  # of pairs of robots
 def told_merge(merge: Merge) -> str:
     """The decision on a pair of robots, for people."""
     words = merge.reason if merge.merged else f"not merged: {merge.reason}"
+    if merge.probability_wrong is not None:
+        words += f"; wrong with a probability of {100 * merge.probability_wrong:.2g} %"
     return f"{robot_name(merge.a)} and {robot_name(merge.b)}: {words}"
 
 
@@ -165,18 +167,20 @@ def write_pairs(
 
 
 def _pairs(page: Page, merges: Sequence[Merge]) -> None:
-    head = ["robots", "decision", "why", "overlap", "score", "second", "agreeing", "chi-square", "alike"]
+    head = ["robots", "decision", "why", "overlap", "score", "second", "agreeing", "chi-square", "alike", "wrong"]
     rows = []
     for m in merges:
         decision = "merged" if m.merged else "not merged"
-        overlap, second, alike = (None if v is None else f"{100 * v:.0f} %" for v in (m.overlap, m.second, m.alike))
+        shares = (m.overlap, m.second, m.alike, m.probability_wrong)
+        overlap, second, alike, wrong = (None if v is None else f"{100 * v:.2g} %" for v in shares)
         name = f"{robot_name(m.a)}, {robot_name(m.b)}"
-        rows.append([name, decision, m.reason, overlap, m.score, second, m.agreeing, m.chi2, alike])
+        rows.append([name, decision, m.reason, overlap, m.score, second, m.agreeing, m.chi2, alike, wrong])
     page.table(head, rows)
     page.text(
         "Overlap: share of the walls of one map that lie on those of the other. Score: of the submaps of one searched "
         "for in the other, 0 to 1; second: that of the next best place, over it. Agreeing: submaps that confirm the "
-        "place; chi-square: of their closures. Alike: of what both robots saw, the share on which they agree."
+        "place; chi-square: of their closures. Alike: of what both robots saw, the share on which they agree. Wrong: the "
+        "probability that the decision is."
     )
 
 
