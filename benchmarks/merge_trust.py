@@ -13,6 +13,7 @@ import argparse
 import json
 import re
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ import numpy as np
 from merge_trials import KINDS, judged, trial
 from scipy.optimize import minimize
 
-from mapweave.mapping.merge_trust import Grounds
+from mapweave.mapping.merge_trust import SIGNS, Grounds
 
 BEGIN, END = "<!-- merge trust: begin -->", "<!-- merge trust: end -->"
 BANDS = (0.0, 0.01, 0.05, 0.2, 0.5, 0.8, 0.95, 0.99, 1.0)  # of the stated probability
@@ -37,7 +38,10 @@ def kept(seed: int, kinds: tuple[str, ...]) -> dict[str, Any]:
 
 
 def fitted(trials: Sequence[dict[str, Any]]) -> np.ndarray:
-    """Weights of greatest posterior density, with a wide normal prior on all but the first."""
+    """Weights of greatest posterior density, with a wide normal prior on all but the first.
+
+    What speaks for a place never counts against it, nor the other way round: few pairs would tell that by chance.
+    """
     X = np.array([Grounds(**t["grounds"]).features() for t in trials])
     y = np.array([2.0 * t["right"] - 1.0 for t in trials])
     sd = np.where(X.std(axis=0) > 1e-9, X.std(axis=0), 1.0)
@@ -48,9 +52,9 @@ def fitted(trials: Sequence[dict[str, Any]]) -> np.ndarray:
         slope = -y / (1.0 + np.exp(np.clip(margin, -500.0, 500.0)))
         return float(np.logaddexp(0.0, -margin).sum() + 0.5 * stiff @ w**2), (X / sd).T @ slope + stiff * w
 
-    return (
-        np.asarray(minimize(cost, np.zeros(X.shape[1]), jac=True, method="L-BFGS-B", options={"maxiter": 5000}).x) / sd
-    )
+    bounds = [(None, None), *((0.0, None) if sign > 0 else (None, 0.0) for sign in SIGNS[1:])]
+    made = minimize(cost, np.zeros(X.shape[1]), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 5000})
+    return np.asarray(made.x) / sd
 
 
 def interval(right: int, n: int) -> tuple[float, float]:
@@ -65,7 +69,7 @@ def band_rows(trials: Sequence[dict[str, Any]], what: str) -> list[str]:
     stated = np.array([Grounds(**t["grounds"]).probability() for t in trials])
     right = np.array([t["right"] for t in trials], dtype=bool)
     rows = []
-    for low, high in zip(BANDS, BANDS[1:], strict=False):
+    for low, high in pairwise(BANDS):
         inside = (stated >= low) & ((stated < high) | (high == BANDS[-1]))
         if n := int(inside.sum()):
             k = int(right[inside].sum())
@@ -94,7 +98,7 @@ def main() -> None:
     parser.add_argument("--page", type=Path)
     asked = parser.parse_args()
     kinds = tuple(asked.kinds.split(","))
-    done = {}
+    done: dict[int, dict[str, Any]] = {}
     for path in asked.log:
         lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
         done |= {t["seed"]: t for t in map(json.loads, lines)}

@@ -57,3 +57,24 @@ def test_a_log_whose_intensity_says_nothing_is_used_without_it_and_says_so():
         assert [f.code for f in feature.findings] == ["light-unused"]
         assert said in feature.findings[0].text
     assert choose_feature(sim.log, LaserConfig(feature="none")).findings == ()
+
+
+@pytest.mark.parametrize("law", [Reflectance(), Reflectance(falloff=2.6, exponent=0.6)], ids=["one law", "another law"])
+def test_a_planted_law_is_found_as_well_as_is_said(law):
+    """Straight corridors, where range and incidence say the same of a wall and hardly tell the law, and longer drives
+    round their corners: errors of one standard deviation in the mean, about.
+    """
+    gains, exponents, unsure = [], [], []
+    for seed, distance in ((140, 30.0), (141, 40.0), (142, 80.0), (143, 90.0)):
+        sim = simulate_corridor(CorridorConfig(distance=distance, drive=DriveConfig(law=law)), seed=seed)
+        scans = [beams(s, "raw", None, BeamConfig()) for s in sim.log.scans]
+        found = calibrate(scans, np.array([s.odometry for s in sim.log.scans]), CalibrationConfig())
+        r = np.concatenate([b.r for b in scans])
+        seen = np.array([(np.abs(r - knot) < 0.2).sum() > 200 for knot in found.knots])
+        true = np.log(law.from_white(found.knots[None, seen])[0] / law.from_white(np.ones((1, 1)))[0, 0])
+        gains.append(np.square((found.log_gain[seen] - true) / found.gain_sd[seen]).mean())
+        exponents.append(((found.exponent - law.exponent) / found.exponent_sd) ** 2)
+        unsure.append(found.exponent_sd)
+    assert 0.3 < np.sqrt(np.mean(gains)) < 2.0
+    assert 0.3 < np.sqrt(np.mean(exponents)) < 2.0
+    assert min(unsure[:2]) > 1.5 * max(unsure[2:])

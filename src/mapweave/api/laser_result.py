@@ -27,6 +27,7 @@ from ..io.directory import write_json
 from ..io.laser_map import write_closure_rows, write_laser_map, write_woven_map, write_woven_tracks
 from ..io.laser_state import write_laser_states
 from ..io.tum import read_tum, write_track_covariance, write_tum
+from ..laser.beam import STEERING
 from ..laser.laser_map import LaserMap
 from ..laser.log_warnings import copies_found
 from ..mapping.config import LaserConfig
@@ -135,7 +136,8 @@ class LaserResult(ResultBase):
             x0, x1, y0, y1 = local_map.grid.extent
             lines.append(
                 f"{robot_name(local_map.robot)}: {len(local_map.scans)} scans, {local_map.method}, "
-                f"feature {local_map.feature}, map {x1 - x0:.0f} x {y1 - y0:.0f} m, {refused} matches refused"
+                f"feature {local_map.feature}{_light(local_map)}, "
+                f"map {x1 - x0:.0f} x {y1 - y0:.0f} m, {refused} matches refused"
             )
             lines += [f"{robot_name(local_map.robot)}: {f.text}" for f in local_map.findings]
         lines += [told_merge(merge) for merge in self.merges]
@@ -182,12 +184,20 @@ def _own(maps: Sequence[LaserMap]) -> tuple[Finding, ...]:
     return tuple(found for m in maps for found in of_robot(m.findings, m.robot))
 
 
+def _light(local_map: LaserMap) -> str:
+    """What light counts in matching, beside the alpha that is set, in words; empty where it does not steer."""
+    c = local_map.calibration
+    steers = c is not None and local_map.feature in STEERING
+    return f" at {c.weight:.0%} of alpha" if c is not None and steers else ""
+
+
 def _robot_metrics(local_map: LaserMap, findings: Sequence[Finding]) -> dict[str, Any]:
     decisions = Counter(local_map.scans.decision)
     c, wheels = local_map.calibration, local_map.odometry_calibration
-    light: dict[str, Any] = (
-        {} if c is None else {"exponent": c.exponent, "scale": c.scale, "residual": c.residual, "samples": c.samples}
-    )
+    light: dict[str, Any] = {}
+    if c is not None:
+        names = ("exponent", "exponent_sd", "scale", "residual", "samples", "weight")
+        light = {name: getattr(c, name) for name in names}
     metrics: dict[str, Any] = {
         "source": local_map.source,
         "verdict": verdict(found for found in findings if found.robot == robot_key(local_map.robot)),

@@ -49,12 +49,15 @@ LIGHT: dict[str, Spec] = {
 }
 
 
+SURE: dict[str, Spec] = {"gain_sd": ("number", ("sure",)), "exponent_sd": ("maybe", ())}
+
+
 def read_grid(path: Path) -> tuple[GridMap, IntensityCalibration | None, str]:
     """The map, how its intensity was normalised (None where it was not), and the feature it holds.
 
     Raises ReaderError for a file that is missing, damaged or something else.
     """
-    held = read_npz(path, CELLS, {**CALIBRATION, **LIGHT}, "a grid map that `map` wrote")
+    held = read_npz(path, CELLS, {**CALIBRATION, **LIGHT, **SURE}, "a grid map that `map` wrote")
     resolution = float(held["resolution"])
     if resolution <= 0:
         raise ReaderError(path, f"expected a resolution of more than 0 m, found {resolution:g}")
@@ -74,6 +77,8 @@ def read_grid(path: Path) -> tuple[GridMap, IntensityCalibration | None, str]:
             information, middle = held["light_figures"].tolist()
             light = {name: held[name] for name in ("cosines", "log_incidence")}
             calibration = replace(calibration, information=information, middle=middle, **light)
+        if all(name in held for name in SURE):  # nor, before 0.4, how sure the law is
+            calibration = replace(calibration, gain_sd=held["gain_sd"], exponent_sd=float(held["exponent_sd"]))
     return grid, calibration, str(held["kind"])
 
 
@@ -81,7 +86,8 @@ def write_grid(path: Path, grid: GridMap, calibration: IntensityCalibration | No
     """`path` holds the cells and what is needed to work out the feature of a new scan as it was worked out here.
 
     Arrays as in `GridMap` and, with a calibration, `knots`, `log_gain`, `gain_figures` = (exponent, scale, residual,
-    samples), `residual_by_range`, `light_figures` = (information, middle), `cosines` and `log_incidence`.
+    samples), `residual_by_range`, `light_figures` = (information, middle), `cosines`, `log_incidence`,
+    `gain_sd` and `exponent_sd`.
     """
     arrays = {
         "resolution": np.array(grid.resolution),
@@ -103,8 +109,10 @@ def write_grid(path: Path, grid: GridMap, calibration: IntensityCalibration | No
             "light_figures": np.array([c.information, c.middle]),
             "cosines": c.cosines,
             "log_incidence": c.log_incidence,
+            "gain_sd": c.gain_sd,
+            "exponent_sd": np.array(c.exponent_sd),
         }
-    write_arrays(path, arrays, gaps=("residual_by_range",))
+    write_arrays(path, arrays, gaps=("residual_by_range", "exponent_sd"))
 
 
 HEAD = "t,host,x,y,theta,innovation_x,innovation_y,innovation_theta,beams,matches,decision,n_eff,resampled"
@@ -185,13 +193,14 @@ def write_closures(path: Path, graph: RobotGraph) -> None:
 
 
 def write_calibration(path: Path, calibration: IntensityCalibration) -> None:
-    """`path` holds the gain at each knot [m] and the median absolute residual of log intensity near it."""
-    gain, residual = calibration.log_gain, np.full(len(calibration.knots), np.nan)
-    held = calibration.residual_by_range[: len(residual)]
-    residual[: len(held)] = np.where(np.isfinite(held), held, np.nan)
-    rows = np.column_stack([calibration.knots, gain, np.exp(gain), residual]).tolist()
-    number = ["{:.4f}".format, *["{:.6f}".format] * 3]
-    write_table(path, ("range", "log_gain", "gain", "residual"), rows, number)
+    """`path` holds the gain at each knot [m], its standard deviation and the median absolute residual near it."""
+    gain, residual, sd = calibration.log_gain, *np.full((2, len(calibration.knots)), np.nan)
+    for column, values in ((residual, calibration.residual_by_range), (sd, calibration.gain_sd)):
+        held = values[: len(column)]
+        column[: len(held)] = np.where(np.isfinite(held), held, np.nan)
+    rows = np.column_stack([calibration.knots, gain, np.exp(gain), residual, sd]).tolist()
+    number = ["{:.4f}".format, *["{:.6f}".format] * 4]
+    write_table(path, ("range", "log_gain", "gain", "residual", "log_gain_sd"), rows, number)
 
 
 def write_woven_map(folder: Path, woven: WovenMap) -> None:

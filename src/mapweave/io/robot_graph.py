@@ -15,7 +15,7 @@ NAME = "robot_graph.npz"
 VERSION = 1
 ARRAYS = ("t", "pose", "cov", "path", "step", "step_information", "start", "lined", "sensor")
 WORDS = ("text", "closure_reason", "border")
-GAPS = ("light_residual", "closure_numbers")  # NaN where there is nothing to tell
+GAPS = ("light_residual", "light_exponent_sd", "closure_numbers")  # NaN where there is nothing to tell
 THIN = ("points", "normals", "q")  # float32: a scanner's noise is a thousand times their rounding
 
 
@@ -43,6 +43,8 @@ def write_robot_graph(path: Path, graph: RobotGraph) -> None:
             "light_worth": np.array([calibration.information, calibration.middle]),
             "light_cosines": calibration.cosines,
             "light_log_incidence": calibration.log_incidence,
+            "light_gain_sd": calibration.gain_sd,
+            "light_exponent_sd": np.array(calibration.exponent_sd),
         }
     write_arrays(path, held, gaps=GAPS)
 
@@ -115,6 +117,8 @@ def _graph_of(held: dict[str, np.ndarray]) -> RobotGraph:
                 information=information,
                 middle=middle,
             )
+        if "light_gain_sd" in held:  # nor, before 0.4, how sure the law is
+            light = replace(light, gain_sd=held["light_gain_sd"], exponent_sd=float(held["light_exponent_sd"]))
     return RobotGraph(
         robot=robot,
         closures=_read_closures(held, n),

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 
 from ..core import se2
 from ..core.config import config
+from ..core.gaussian import symmetrise
 from ..core.records import Scan, frozen
 from ..kernels.laser.beams import beam_lines
 
@@ -28,6 +29,8 @@ CALIBRATION_WINDOW = 12  # scans laid together
 CALIBRATION_CELL = 0.1  # [m] in which surfaces are taken for one
 CALIBRATION_KNOT = 0.4  # [m] between the knots of g
 CALIBRATION_SMOOTH = 10.0  # weight of second differences of g
+CALIBRATION_BEND = 0.1  # [log units] second difference of g between knots that laws of real light have
+BLUR, BLUR_ANGLE = 0.01, 0.015  # [m], [rad] errors of ranges and of angles of incidence
 CALIBRATION_CAUCHY = 0.1  # [log units] width of the robust weight
 CALIBRATION_LEAST_COSINE = 0.15  # of incidence that is reckoned with: what grazes a wall more counts as this
 MOST_WINDOWS = 150  # of scans that are used
@@ -45,7 +48,8 @@ class IntensityCalibration:
 
     knots: (k,) ranges [m]; log_gain: (k,) at the knots, linear between, held outside; exponent: p of incidence c^p;
     scale: the intensity of q = 1 at gain 1; residual: robust standard deviation of the fit in log units; samples:
-    returns used. residual_by_range: (k,) median absolute residual near each knot. cosines, log_incidence: (j,) the law
+    returns used. residual_by_range: (k,) median absolute residual near each knot. gain_sd: (k,) of log_gain, which
+    is told over that at 1 m; exponent_sd: of p; empty and NaN where not known. cosines, log_incidence: (j,) the law
     of incidence where none of the form c^p fits as well, empty where it does. information: [1/m^2] what the feature of
     a return tells of where along its wall it is; `WHOLE` where nobody asked. middle: the median feature.
     """
@@ -61,9 +65,11 @@ class IntensityCalibration:
     log_incidence: Float[np.ndarray, " j"] = field(default_factory=lambda: np.zeros(0))
     information: float = WHOLE
     middle: float = 0.5
+    gain_sd: Float[np.ndarray, " k"] = field(default_factory=lambda: np.zeros(0))
+    exponent_sd: float = float("nan")
 
     def __post_init__(self) -> None:
-        for name in ("knots", "log_gain", "residual_by_range", "cosines", "log_incidence"):
+        for name in ("knots", "log_gain", "residual_by_range", "cosines", "log_incidence", "gain_sd"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @property
@@ -278,11 +284,18 @@ def _fitted(seen: Overlaps, cfg: CalibrationConfig, *, free: bool) -> LawFit:
         first = FREE_KNOT * np.floor(np.log(seen.r.min()) / FREE_KNOT)
         K = max(3, int(np.ceil((np.log(seen.r.max()) - first) / FREE_KNOT)) + 1)
         knots = np.exp(first + FREE_KNOT * np.arange(K))
-        X = np.column_stack([_hats(seen.r, knots), _hats(seen.c, FREE_COSINES)])
+
+        def design(r: np.ndarray, c: np.ndarray) -> np.ndarray:
+            return np.column_stack([_hats(r, knots), _hats(c, FREE_COSINES)])
+
     else:
         K = int(np.ceil(seen.r.max() / CALIBRATION_KNOT)) + 1
         knots = CALIBRATION_KNOT * np.arange(K)
-        X = np.column_stack([_hats(seen.r, knots), np.log(seen.c)])
+
+        def design(r: np.ndarray, c: np.ndarray) -> np.ndarray:
+            return np.column_stack([_hats(r, knots), np.log(c)])
+
+    X = design(seen.r, seen.c)
     n = X.shape[1]
     ridge = 1e-3 * np.eye(n)
     for first_row, size in ((0, K), (K, n - K)):
@@ -291,7 +304,7 @@ def _fitted(seen: Overlaps, cfg: CalibrationConfig, *, free: bool) -> LawFit:
             part = slice(first_row, first_row + size)
             ridge[part, part] += (FREE_SMOOTH if free else CALIBRATION_SMOOTH) * second.T @ second
     weight = np.ones(len(y))
-    x, residual = np.zeros(n), y
+    x, residual, Xc, A = np.zeros(n), y, X, ridge
     groups = int(seen.cell.max()) + 1
     for _ in range(cfg.iterations):
         Xc, yc = _centred(np.column_stack([X, y]), seen.cell, weight, groups)
@@ -299,11 +312,43 @@ def _fitted(seen: Overlaps, cfg: CalibrationConfig, *, free: bool) -> LawFit:
         x = np.linalg.solve(A + ridge, (Xc * weight[:, None]).T @ yc)
         residual = yc - Xc @ x
         weight = 1.0 / (1.0 + (residual / CALIBRATION_CAUCHY) ** 2)
-    gain = x[:K] - np.interp(1.0, knots, x[:K])
+    bends = float((weight * np.square(residual)).sum() / weight.sum())
+    bends = bends if free else max(bends, CALIBRATION_SMOOTH * CALIBRATION_BEND**2)
+    blurred = np.column_stack([design(*_blurred(seen)), y])
+    Xb, yb = _centred(blurred, seen.cell, weight, groups)
+    off = np.linalg.solve((Xb * weight[:, None]).T @ Xb + ridge, (Xb * weight[:, None]).T @ yb) - x
+    P = _sandwich(Xc, weight * residual, A, ridge, bends, seen.window) + np.outer(off, off)
+    at_one = np.zeros((K, n))
+    at_one[:, :K] = np.eye(K) - _hats(np.array([1.0]), knots)  # gains are told over that at 1 m
+    slope = np.zeros((1, n))
+    slope[0, K:] = np.linalg.pinv(np.log(FREE_COSINES)[:, None] - np.log(FREE_COSINES).mean())[0] if free else 1.0
+    gain, exponent = at_one @ x, float((slope @ x)[0])
     incidence = (FREE_COSINES, x[K:] - x[-1]) if free else (np.zeros(0), np.zeros(0))
-    exponent = float(np.polyfit(np.log(FREE_COSINES), x[K:], 1)[0]) if free else float(x[K])
     law = IntensityCalibration(knots, gain, exponent, 1.0, 0.0, len(y), np.zeros(K), *incidence)
-    return law, np.abs(residual)
+    gain_sd, exponent_sd = (np.sqrt(np.maximum(np.diag(J @ P @ J.T), 0.0)) for J in (at_one, slope))
+    return replace(law, gain_sd=gain_sd, exponent_sd=float(exponent_sd[0])), np.abs(residual)
+
+
+def _blurred(seen: Overlaps) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Ranges and cosines with as much error again as they have: what that changes, their own error may have changed."""
+    rng = np.random.default_rng(0)
+    angle = np.arccos(np.clip(seen.c, 0.0, 1.0)) + BLUR_ANGLE * rng.standard_normal(len(seen.c))
+    return seen.r + BLUR * rng.standard_normal(len(seen.r)), np.maximum(np.cos(angle), CALIBRATION_LEAST_COSINE)
+
+
+def _sandwich(
+    X: np.ndarray, pull: np.ndarray, A: np.ndarray, ridge: np.ndarray, bends: float, window: np.ndarray
+) -> Float[np.ndarray, "n n"]:
+    """Covariance of a law whose returns of one window err alike: places are not even and poses bend.
+
+    X, pull: rows and weighed residuals at the fit; A: its normal matrix; bends: what a unit of `ridge` is uncertain by
+    where it alone holds the law.
+    """
+    sums = np.zeros((int(window.max()) + 1, X.shape[1]))
+    np.add.at(sums, window, X * pull[:, None])
+    seen = int((np.abs(sums).sum(axis=1) > 0).sum())
+    bread = np.linalg.inv(A + ridge)
+    return symmetrise(bread @ (sums.T @ sums * (seen / max(seen - 1, 1)) + bends * ridge) @ bread)
 
 
 def raw_scale(scans: Sequence[Beams]) -> IntensityCalibration:

@@ -95,7 +95,7 @@ class Merge:
 
     @property
     def probability_wrong(self) -> float | None:
-        """That the maps do not lie as `transform` has them; where they are refused, that they do lie as `best` has them.
+        """That the maps do not lie as `transform` has them; of refused ones, that they do lie as `best` has them.
 
         None where a start was given or somebody said how they lie.
         """
@@ -274,12 +274,11 @@ def _weighed(pair: Pair, ways: Sequence[Candidate], matches: Sequence[Hypothesis
         best=frozen(best.transform),
         closures=tuple(c for _, c in checked),
     )
-    rival_votes = max((c.votes for c in others), default=0)
-    alike = pair.alike_for(best, len(held), rival_votes)
+    alike = pair.alike_for(best, len(held), max((c.votes for c in others), default=0))
     hold = grip(pair, best, alike) if best.seen.share >= alike and best.seen.alike >= cfg.least_seen else None
     why = _why_refused(pair, merge, best, rival, needed, alike, hold)
     spread = _spread(held, b, best.transform) if held else 0.0
-    grounds = _grounds(pair, best, rival, len(held), rival_votes, hold, spread)
+    grounds = _grounds(pair, best, rival, hold, spread)
     merge = replace(merge, grounds=grounds if start is None else None)
     if why:
         return replace(merge, reason=why, overlap=None if "too little overlap" in why else merge.overlap)
@@ -294,13 +293,11 @@ def _weighed(pair: Pair, ways: Sequence[Candidate], matches: Sequence[Hypothesis
     )
 
 
-def _grounds(
-    pair: Pair, best: Candidate, rival: Candidate | None, agreeing: int, rivals: int, hold: Grip | None, spread: float
-) -> Grounds:
-    """What the decision rests on, as numbers. rivals: submaps, at most, that say so of another transform."""
+def _grounds(pair: Pair, best: Candidate, rival: Candidate | None, hold: Grip | None, spread: float) -> Grounds:
+    """What the decision rests on, as numbers."""
     seen, evidence = best.seen, max(pair.evidence(best), 1.0)
     return Grounds(
-        *(agreeing, best.votes, rivals, seen.alike, seen.through, seen.clear),
+        *(seen.alike, seen.through, seen.clear),
         rival=0.0 if rival is None else float(np.clip(pair.evidence(rival) / evidence, 0.0, 1.0)),
         allowed=rival is not None and allowed(pair, rival, best),
         pushed=1.0 if hold is None else min(hold.pushed, 1.0),

@@ -10,23 +10,22 @@ import numpy as np
 from jaxtyping import Float
 
 UNCLEAR = 0.003  # of what both saw, added to the share that is not alike: half a point of a few hundred
+SLACK = 0.01  # added to what holds along the weakest direction, over what does across it
 LEAST = 0.002  # probability that is told: of a thousand pairs and more none or one tells less
-WEIGHTS: tuple[float, ...] = (0.0,) * 11
+SIGNS = (0, 1, 1, -1, -1, -1, 1, -1)  # of what speaks for a place, and against it
+WEIGHTS = (-2.154, 0.003, 1.361, -2.888, -5.243, -2.001, 0.629, -4.391)
 
 
 class Grounds(NamedTuple):
     """What a decision on two maps rests on.
 
-    agreeing: submaps that confirm the transform; votes, rival_votes: submaps with a clear place there, and at most at
-    any other; alike, through: points of walls that the other robot saw too, and saw through; clear: share alike but for
-    points close to walls; rival: evidence of the next best transform over its own, 0 to 1; allowed: whether the maps
-    may lie so too; pushed: evidence when the maps are moved along the direction that holds them least, over its own, 0
-    to 1; held: information along that over that across it; spread: [m] of the submaps that confirm it.
+    alike, through: points of walls that the other robot saw too, and saw through; clear: share alike but for points
+    close to walls; rival: evidence of the next best transform over its own, 0 to 1; allowed: whether the maps may lie
+    so too; pushed: evidence when the maps are moved along the direction that holds them least, over its own, 0 to 1;
+    held: information along that over that across it; spread: [m] of the submaps that confirm the transform. How many
+    do tells nothing more, once these are known.
     """
 
-    agreeing: int = 0
-    votes: int = 0
-    rival_votes: int = 0
     alike: int = 0
     through: int = 0
     clear: float = 0.0
@@ -41,15 +40,12 @@ class Grounds(NamedTuple):
         return np.array(
             [
                 1.0,
-                math.log1p(self.agreeing),
-                math.log1p(self.votes) - math.log1p(self.rival_votes),
-                math.log1p(self.alike),
                 math.log((self.alike + 1.0) / (self.through + 1.0)),
                 -math.log(1.0 - self.clear + UNCLEAR),
                 self.rival,
                 float(self.allowed),
                 self.pushed,
-                math.log(self.held + 0.01),
+                math.log(self.held + SLACK),
                 self.spread,
             ]
         )

@@ -108,6 +108,11 @@ def draw_calibration(path: Path, calibration: IntensityCalibration) -> None:
         r = np.linspace(calibration.knots[0], calibration.knots[-1], 300)
         gain.plot(r, calibration.gain(r), color=colour(0))
         gain.plot(calibration.knots, np.exp(calibration.log_gain), "o", color=colour(0), markersize=3)
+        if len(calibration.gain_sd):
+            sd = np.interp(r, calibration.knots, calibration.gain_sd)
+            low, high = (calibration.gain(r) * np.exp(k * sd) for k in (-2.0, 2.0))
+            gain.fill_between(r, low, high, color=colour(0), alpha=0.2, linewidth=0, label="2 s.d.")
+            gain.legend()
         gain.set_yscale("log")
         gain.set_xlabel("range [m]")
         gain.set_ylabel("gain")
@@ -118,7 +123,7 @@ def draw_calibration(path: Path, calibration: IntensityCalibration) -> None:
         angle.set_ylim(0, 1.05)
         angle.set_xlabel("incidence [deg]")
         angle.set_ylabel("gain")
-        angle.set_title(f"Light over incidence, p = {calibration.exponent:.2f}")
+        angle.set_title(f"Light over incidence, p = {calibration.exponent:.2f} ± {calibration.exponent_sd:.2f}")
         spread = calibration.residual_by_range
         if len(spread) == len(calibration.knots):
             seen = spread > 0

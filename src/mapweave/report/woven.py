@@ -179,8 +179,8 @@ def _pairs(page: Page, merges: Sequence[Merge]) -> None:
     page.text(
         "Overlap: share of the walls of one map that lie on those of the other. Score: of the submaps of one searched "
         "for in the other, 0 to 1; second: that of the next best place, over it. Agreeing: submaps that confirm the "
-        "place; chi-square: of their closures. Alike: of what both robots saw, the share on which they agree. Wrong: the "
-        "probability that the decision is."
+        "place; chi-square: of their closures. Alike: of what both robots saw, the share on which they agree. Wrong: "
+        "the probability that the decision is."
     )
 
 
