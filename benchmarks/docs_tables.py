@@ -62,6 +62,12 @@ TABLES = (
         bench("merge_trials", "--trials", "200", "--seed", "20000", "--pictures", "--page", "{page}"),
         "page",
     ),
+    Table(
+        "merge trust",
+        "docs/laser-teams.md",
+        bench("merge_trust", "--trials", "360", "--seed", "700000", "--page", "{page}"),
+        "page",
+    ),
     Table("live", "docs/live.md", bench("live", "--out", "docs/images"), "stdout"),
     Table("live explore", "docs/live.md", bench("live_explore"), "stdout"),
     Table("live ties", "docs/live.md", bench("live_passes", "--table", "--seconds", "60"), "stdout"),

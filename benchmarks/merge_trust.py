@@ -1,12 +1,12 @@
 """Whether merges are right as often as they say: stated probabilities beside what came out, in simulated buildings.
 
-    python benchmarks/merge_trust.py --log FILE [--trials N] [--seed S] [--kinds office,corridor,..] [--fit]
+    python benchmarks/merge_trust.py [--trials N] [--seed S] [--kinds office,corridor,..] [--log FILE].. [--fit]
         [--page FILE]
 
 Pairs are those of `merge_trials.py`, of its kinds; `--log` keeps every trial, and the same command goes on after those
 that are there, so that several may fill files of their own, with other seeds. `--fit` prints the weights fitted to
 them, for `mapping/merge_trust.py`; the table tells how the weights that stand there do: give it other trials than
-those they were fitted to. Trials already in the log cost nothing: `--trials 0` tells of those alone.
+those they were fitted to. `--trials 0` tells of those in the logs alone.
 """
 
 import argparse
@@ -93,7 +93,7 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=0)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--kinds", default=",".join(KINDS))
-    parser.add_argument("--log", type=Path, action="append", required=True)
+    parser.add_argument("--log", type=Path, action="append", default=[])
     parser.add_argument("--fit", action="store_true")
     parser.add_argument("--page", type=Path)
     asked = parser.parse_args()
@@ -105,8 +105,9 @@ def main() -> None:
     for seed in range(asked.seed, asked.seed + asked.trials):
         if seed not in done:
             done[seed] = kept(seed, kinds)
-            with asked.log[0].open("a", encoding="utf-8") as log:
-                log.write(json.dumps(done[seed]) + "\n")
+            for path in asked.log[:1]:
+                with path.open("a", encoding="utf-8") as log:
+                    log.write(json.dumps(done[seed]) + "\n")
     trials = [done[seed] for seed in sorted(done)]
     if asked.fit:
         print(f"WEIGHTS = ({', '.join(f'{w:.3f}' for w in fitted(trials))})")

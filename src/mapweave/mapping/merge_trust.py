@@ -13,7 +13,7 @@ UNCLEAR = 0.003  # of what both saw, added to the share that is not alike: half 
 SLACK = 0.01  # added to what holds along the weakest direction, over what does across it
 LEAST = 0.002  # probability that is told: of a thousand pairs and more none or one tells less
 SIGNS = (0, 1, 1, -1, -1, -1, 1, -1)  # of what speaks for a place, and against it
-WEIGHTS = (-2.154, 0.003, 1.361, -2.888, -5.243, -2.001, 0.629, -4.391)
+WEIGHTS = (-1.522, 0.000, 1.266, -2.430, -5.663, -1.910, 0.754, -3.648)
 
 
 class Grounds(NamedTuple):
