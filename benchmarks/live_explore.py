@@ -35,7 +35,7 @@ from mapweave.evaluation.building import known_at, survey_building
 from mapweave.exploration.laser.config import LaserExploreConfig
 from mapweave.exploration.laser.frontiers import mapped_ground
 from mapweave.exploration.laser.mission import points_of, route_to
-from mapweave.exploration.laser.planners import candidate_commands, collision_free, steer
+from mapweave.exploration.laser.planners import FOLLOW_LOOKAHEAD, candidate_commands, collision_free, steer
 from mapweave.live.transport import LISTENING
 from mapweave.sim.laser import START_NS
 from mapweave.sim.laser_team import LaserRobotsConfig, LaserTeamSim
@@ -83,7 +83,7 @@ class Driver:
                 return np.zeros(2)
             ground = mapped_ground(grid.planned_on(WALL), place.pose[None, :2], NOBODY, CFG)
             self.way = route_to(ground, goal.pose[:2], np.array(others).reshape(-1, 2), CFG)
-        target = self.way.target(place.pose[:2], CFG.follower.lookahead)
+        target = self.way.target(place.pose[:2], FOLLOW_LOOKAHEAD)
         if target is None or np.hypot(*(target - place.pose[:2])) < 0.5 * CFG.resolution:
             return np.zeros(2)
         u = steer(place.pose, target, points, np.array(others).reshape(-1, 2), CFG)

@@ -75,11 +75,7 @@ def test_options_beyond_all_use_are_refused_with_the_number(tmp_path, world, opt
         (ROOM, "[plan]\nresolution = 1e9", r"plan\.resolution: expected at most 1, found 1e\+09"),
         (ROOM, "[plan]\nresolution = 1e-7", r"plan\.resolution: .* has 3e\+15 of them"),
         (ROOM, "map_resolution = 1e-9", "map_resolution: .* of them"),
-        (
-            ROOM,
-            "[plan.allocation]\nparked_cost = 300",
-            r"plan\.allocation\.parked_cost: expected at most 255, found 300",
-        ),
+        (ROOM, "[plan.allocation]\nparked_cost = 300", r"constants since 0\.2, to be left out: plan\.allocation$"),
         (ROOM, "[plan.follower]\narc_sample = 0.0", r"plan\.follower\.arc_sample: expected a number above 0"),
         (FIELD, "[joint.search]\ntries = 0", r"joint\.search\.tries: expected a number above 0, found 0"),
         (FIELD, "[coverage]\nradios = 3", r"coverage\.radios: unknown key"),

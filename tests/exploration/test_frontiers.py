@@ -48,7 +48,7 @@ def test_a_closed_room_seen_by_a_stray_beam_is_no_goal_and_is_told_as_a_pocket()
     grid = box("." * 8 + "##" + "." * 10 + " " * 6)
     ground = mapped_ground(grid, np.array([[0.9, 1.0]]), NOBODY, CFG)
     assert frontiers(ground, CFG) == []
-    middles = pockets(ground, CFG)
+    middles = pockets(ground)
     assert len(middles) == 1
     assert 2.2 < middles[0][0] < 4.2
 

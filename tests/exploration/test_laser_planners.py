@@ -119,15 +119,15 @@ def test_a_robot_on_its_way_changes_its_mind_only_for_what_is_nearer_or_on_the_w
     far = int(np.argmax(problem.first[0]))
     near = int(np.argmin(problem.first[0]))
     held = int(np.argmin(np.abs(problem.first[0] - problem.first[0, far] + 1.0)))
-    assert keep_commitments(replace(problem, held={0: held}), {0: far}, CFG) == {0: held}
-    assert keep_commitments(replace(problem, held={0: held}), {0: near}, CFG) == {0: near}
+    assert keep_commitments(replace(problem, held={0: held}), {0: far}) == {0: held}
+    assert keep_commitments(replace(problem, held={0: held}), {0: near}) == {0: near}
 
 
 def test_a_robot_leaves_its_frontier_to_a_nearer_one():
     problem = offers_in_a_hall([(3.0, 2.0), (15.0, 2.0)])
     left = int(np.argmin(problem.first[0]))
     right = int(np.argmax(problem.first[0]))
-    assert keep_commitments(replace(problem, held={1: left}), {0: left, 1: right}, CFG) == {0: left, 1: right}
+    assert keep_commitments(replace(problem, held={1: left}), {0: left, 1: right}) == {0: left, 1: right}
 
 
 def test_a_planner_of_ones_own_is_found_by_its_dotted_name():

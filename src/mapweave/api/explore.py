@@ -183,15 +183,12 @@ def kills_of(kill: Mapping[str, int], robots: int) -> dict[int, int]:
 
 LASER_POSITIVE = (
     *("robots.radius", "robots.speed", "robots.turn", "robots.period", "robots.scanner.beams", "robots.scanner.far"),
-    *("plan.resolution", "plan.max_steps", "plan.replan_every", "plan.split", "plan.most_goals"),
-    *("map_resolution", "tolerance", "beam_stride", "frontier_check_every", "false_distance", "false_turn"),
-    *("plan.goals.same", "plan.goals.arrived", "plan.follower.lookahead", "plan.follower.arc_sample"),
-    *("plan.allocation.wall_cost", "plan.allocation.parked_cost", "plan.right_of_way.meeting"),
+    *("plan.resolution", "plan.max_steps", "plan.split", "plan.most_goals"),
+    *("map_resolution", "tolerance", "plan.follower.arc_sample"),
 )
 COARSEST = 1.0  # [m], cells that could still show a door
 FARTHEST_BEAM = 1000.0  # [m]
 MOST_BEAMS = 20_000  # of one scan, each cast through all walls
-DEAREST = 255  # what a metre of way may count as
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -259,12 +256,10 @@ def explore_laser(name: str, scenario: LaserScenarioConfig, options: ExploreOpti
 
 
 def _check_sizes(cfg: LaserMissionConfig, where: str) -> None:
-    """Raises ConfigError for cells coarser, scans longer or ways dearer than planning can use."""
+    """Raises ConfigError for cells coarser or scans longer than planning can use."""
     limits = (
         ("plan.resolution", cfg.plan.resolution, COARSEST),
         ("map_resolution", cfg.map_resolution, COARSEST),
-        ("plan.allocation.wall_cost", cfg.plan.allocation.wall_cost, DEAREST),
-        ("plan.allocation.parked_cost", cfg.plan.allocation.parked_cost, DEAREST),
         ("robots.scanner.far", cfg.robots.scanner.far, FARTHEST_BEAM),
         ("robots.scanner.beams", cfg.robots.scanner.beams, MOST_BEAMS),
     )
@@ -292,11 +287,8 @@ def _end(until: str | int) -> str | int:
 NOISE = {"printed": 1.0, "calibrated": CALIBRATED}
 POSITIVE = (
     *("mission.cell", "mission.max_steps", "commands.speeds", "objective.apart_distance", "handover.by"),
-    *("coverage.radius", "coverage.replan_every"),
-    *("loop.radius", "loop.rate", "loop.rate_alone", "joint.rate", "joint.rate_alone", "joint.density"),
-    *("joint.search.tries", "joint.search.first_plans", "joint.search.most_places", "joint.search.coarse_cell"),
-    *("joint.search.pose_stride", "joint.search.layouts", "joint.search.least_range"),
-    *("walls.robot_radius", "walls.path_cell", "walls.stride", "walls.station_spacing", "walls.leg"),
+    *("coverage.radius", "loop.radius", "loop.rate", "loop.rate_alone", "joint.rate", "joint.rate_alone"),
+    *("joint.density", "joint.search.tries", "joint.search.coarse_cell", "walls.robot_radius", "walls.path_cell"),
     *("submap.period", "submap.reach", "submap.half_angle"),
     *("submap.range_sd", "submap.bearing_sd", "submap.gate"),
 )

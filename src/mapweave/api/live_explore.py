@@ -10,7 +10,7 @@ import numpy as np
 
 from ..core.errors import DataError, UsageError
 from ..exploration.laser.config import LaserExploreConfig
-from ..exploration.laser.mission import LaserBelief, PlannerState
+from ..exploration.laser.mission import GOALS_SAME, LaserBelief, PlannerState
 from ..exploration.laser.planners import by_tours, choose_goals
 from ..live.messages import GoalMessage, Numbers, check_name, encode
 from ..live.told import LiveTeam, TeamRobot, hear_team
@@ -96,7 +96,7 @@ class Explorer:
 
     def _number(self, name: str, part: int, pose: Numbers) -> int:
         old = self.goals.get(name)
-        same = old is not None and old[0] == part and np.hypot(*np.subtract(old[1], pose)[:2]) < self.cfg.goals.same
+        same = old is not None and old[0] == part and np.hypot(*np.subtract(old[1], pose)[:2]) < GOALS_SAME
         self._numbers[name] = self._numbers.get(name, 0) + (not same)
         return self._numbers[name]
 

@@ -48,19 +48,10 @@ class LapSearchConfig:
     """How planner `joint` searches its laps and judges them."""
 
     tries: int = 700  # changes tried of a plan: with the others, twelve seconds for the paper's field
-    first_plans: int = 4  # that are improved a little before the best of them are chosen
-    most_places: int = 12  # a lap: more make the search slower and the laps no better
-    arrived: float = 5.0  # [m] from a place at which it is reached: cutting corners costs no coverage within the reach
     coarse_cell: float = 2.0  # [m], cells in which coverage is judged: four times faster than the field's own
-    pose_stride: int = 12  # [steps] between the poses that carry the information
-    border: float = 12.0  # [m] from the border at which the first plans' ring lies, a little less than the reach
-    overlap: float = 1.2  # of its share of the ring that a robot may go round, on into the next one's
-    layouts: int = 24  # the same of the finalists: on 8 the best plan is the one that suits just these
-    looks: int = 1  # that are counted for each of those poses, evenly spread around it
+    looks: int = 1  # that are counted for each pose that carries information, evenly spread around it
     sight_margin: float = 0.0  # [m] of the reach in which landmarks are not counted on to be seen
-    revisits: float = 0.3  # of the changes tried under way that send a robot by a known landmark
     tries_by_now: int = 120  # changes tried under way: a tenth of a second
-    least_range: float = 2.0  # [m], sightings from nearer are not counted on to tell more
 
 
 @config
@@ -68,16 +59,11 @@ class CoverageConfig:
     """Planner `coverage`: discs over what is unexplored, shared out as balanced tours."""
 
     radius: float = 10.0  # [m] of a disc: two thirds of the reach, so that passing its middle shows all of it
-    replan_every: int = 4  # [steps] between plans: two seconds, in which a robot sees what changes its tour
     rate: float = 22.0  # [m^2] of field a robot and step: how long the tours of an open field take
     rate_alone: float = 19.0  # [m^2] the same for one robot
     error_weight: float = 70.0  # [steps/m] that expected map error is worth
-    revise_every: int = 10  # [steps] between changes: a robot has seen new ground as deep as half its reach by then
-    sure_margin: float = 0.7  # [m] by which a cell must be within the reach to count as seen when tours are changed
     tour_radius: float = 13.0  # [m] of a disc of the first tours, which are improved as laps are
     search: LapSearchConfig = LapSearchConfig(looks=4, sight_margin=0.7)  # with looks every third step of a lap
-    turn_cost: float = 2.0  # [m/rad] that turning towards the first disc counts as: half a turn takes about 4 s
-    balance: float = 0.3  # what the sum of all tours weighs beside the longest, those of `loop` too
 
 
 @config
@@ -87,7 +73,6 @@ class LoopConfig:
     radius: float = 13.0  # [m] of a disc: larger than for `coverage`, so that fewer are left and a lap closes in time
     rate: float = 19.5  # [m^2] of field a robot and step: how long it goes on to close loops
     rate_alone: float = 17.0  # [m^2] the same for one robot, whose lap is longer
-    arrived: float = 4.0  # [m] from a place of the tour at which it is reached: what lies there is in view by then
 
 
 @config
@@ -98,7 +83,6 @@ class JointConfig:
     rate_alone: float = 20.0  # [m^2] the same for one robot
     density: float = 1 / 275  # [1/m^2] landmarks expected: those of the paper's field
     error_weight: float = 100.0  # [steps/m] that expected map error is worth
-    sure_margin: float = 1.0  # [m] by which a cell must be within the reach to be surely seen: poses are estimates
     search: LapSearchConfig = LapSearchConfig()
 
 
@@ -110,10 +94,6 @@ class WallsConfig:
     margin: float = 0.4  # [m] beyond the radius that planned paths and offered controls keep from walls
     path_cell: float = 0.4  # [m], raster on which paths round walls are found: half of what the narrowest door needs
     put_off_after: int = 60  # [steps] after which a target that was not seen is put off
-    stride: int = 3  # [cells] of its path that a robot looks ahead where room is scarce
-    station_spacing: float = 2.0  # [m] between the places considered by `coverage` and `loop`
-    leg: float = 2.0  # [m] of the path ahead whose narrowness allows a robot to come nearer to walls
-    detour: float = 6.0  # [m] within which a robot plans its path round places where a wall was met lately
 
 
 @config

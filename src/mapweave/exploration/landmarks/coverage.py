@@ -20,8 +20,14 @@ from .laps import begin, drive, find_laps, follow, improve_tours, lap_steps, lap
 from .steering import ahead, given_up, nearest_unexplored, new_cells, next_target, offered, steer
 
 COVERAGE_GAIN_WEIGHT = 0.12  # [m] that a newly seen cell is worth: a course over new ground may be a little longer
-JOINT_SURE_LEVELS = 4  # multiples of that margin, after which what was seen least surely is looked at again
+JOINT_SURE_MARGIN = 1.0  # [m] by which a cell must be within the reach to be surely seen: poses are estimates
+JOINT_SURE_LEVELS = 4  # multiples of `JOINT_SURE_MARGIN`, after which what was seen least surely is looked at again
 JOINT_MOST_ROBOT_STEPS = 800  # robots times steps beyond which planning would take minutes and `loop` takes over
+COVERAGE_REPLAN_EVERY = 4  # [steps] between plans: two seconds, in which a robot sees what changes its tour
+COVERAGE_TURN_COST = 2.0  # [m/rad] that turning towards the first disc counts as: half a turn takes about 4 s
+COVERAGE_BALANCE = 0.3  # what the sum of all tours weighs beside the longest, those of `loop` too
+LOOP_ARRIVED = 4.0  # [m] from a place of the tour at which it is reached: what lies there is in view by then
+WALLS_STATION_SPACING = 2.0  # [m] between the places considered by `coverage` and `loop`
 
 
 def choose(belief: LandmarkBelief, poses: Float[np.ndarray, "r 3"], cfg: ExploreConfig) -> Float[np.ndarray, "r 2"]:
@@ -37,10 +43,10 @@ def choose(belief: LandmarkBelief, poses: Float[np.ndarray, "r 3"], cfg: Explore
     if not memory["tour_steps"]:
         return cover(belief, poses, cfg)
     memory["go_on_until"] = memory["tour_steps"]
-    revise(belief, poses, cfg.coverage)
+    revise(belief, poses)
 
     def goal(j: int) -> np.ndarray | None:
-        return follow(belief, j, poses[j], cfg) if belief.step < memory["laps_end"] else None
+        return follow(belief, j, poses[j]) if belief.step < memory["laps_end"] else None
 
     return drive(belief, poses, cfg, goal, lambda: cover(belief, poses, cfg))
 
@@ -51,10 +57,10 @@ def begin_tours(belief: LandmarkBelief, poses: np.ndarray, cfg: ExploreConfig) -
     every = np.argwhere(np.ones_like(belief.explored.fused))
     chosen = discs(belief, belief.explored.centres(every), cfg.coverage.tour_radius)
     tours, counts = balanced_tours(
-        approach_cost(poses[live], chosen, cfg.coverage.turn_cost),
+        approach_cost(poses[live], chosen, COVERAGE_TURN_COST),
         np.linalg.norm(chosen[:, None] - chosen[None], axis=-1),
         np.zeros((len(live), len(chosen))),
-        cfg.coverage.balance,
+        COVERAGE_BALANCE,
     )
     places: list[tuple[tuple[float, float], ...]] = [()] * len(belief.robots)
     for k, j in enumerate(live):
@@ -70,7 +76,7 @@ def cover(belief: LandmarkBelief, poses: Float[np.ndarray, "r 3"], cfg: ExploreC
     stale = belief.step >= memory.get("plan_until", -1) or memory.get("plan_for") != tuple(live)
     if stale:
         memory["goals"] = plan(belief, poses, live, cfg)
-        memory["plan_until"] = belief.step + cfg.coverage.replan_every
+        memory["plan_until"] = belief.step + COVERAGE_REPLAN_EVERY
         memory["plan_for"] = tuple(live)
     out = np.zeros((len(belief.robots), 2))
     for j in live:
@@ -107,9 +113,9 @@ def plan(belief: LandmarkBelief, poses: np.ndarray, live: np.ndarray, cfg: Explo
     if belief.floor is not None:
         return plan_among_walls(belief, belief.floor, cells, poses, live, cfg)
     chosen = discs(belief, cells, cfg.coverage.radius)
-    first = approach_cost(poses[live], chosen, cfg.coverage.turn_cost)
+    first = approach_cost(poses[live], chosen, COVERAGE_TURN_COST)
     between = np.linalg.norm(chosen[:, None] - chosen[None], axis=-1)
-    tours, counts = balanced_tours(first, between, np.zeros_like(first), cfg.coverage.balance)
+    tours, counts = balanced_tours(first, between, np.zeros_like(first), COVERAGE_BALANCE)
     goals: dict[int, np.ndarray] = {}
     for k, j in enumerate(live):
         goal = chosen[tours[k, 0]] if counts[k] else nearest_unexplored(cells, poses[j])
@@ -215,17 +221,17 @@ def plan_laps(belief: LandmarkBelief, poses: np.ndarray, cfg: ExploreConfig) -> 
     if belief.floor is not None:
         return laps_among_walls(belief, belief.floor, cells, poses, live, cfg)
     chosen = discs(belief, cells, cfg.loop.radius)
-    first = approach_cost(poses[live], chosen, cfg.coverage.turn_cost)
+    first = approach_cost(poses[live], chosen, COVERAGE_TURN_COST)
     between = np.linalg.norm(chosen[:, None] - chosen[None], axis=-1)
     last = np.ascontiguousarray(np.linalg.norm(chosen[None] - poses[live][:, None, :2], axis=-1))
-    tours, counts = balanced_tours(first, between, last, cfg.coverage.balance)
+    tours, counts = balanced_tours(first, between, last, COVERAGE_BALANCE)
     return {int(j): [*(chosen[i] for i in tours[k, : counts[k]]), poses[j, :2].copy()] for k, j in enumerate(live)}
 
 
 def _passed(belief: LandmarkBelief, j: int, pose: np.ndarray, lap: list[np.ndarray], cfg: ExploreConfig) -> bool:
     """Whether the lap's next place was reached, or all its disc covers is seen; home itself must be reached."""
-    if np.hypot(*(lap[0] - pose[:2])) < cfg.loop.arrived:
-        return belief.floor is None or bool(belief.floor.sees(pose[:2], lap[0][None], cfg.loop.arrived)[0])
+    if np.hypot(*(lap[0] - pose[:2])) < LOOP_ARRIVED:
+        return belief.floor is None or bool(belief.floor.sees(pose[:2], lap[0][None], LOOP_ARRIVED)[0])
     if len(lap) == 1:
         return False
     ex = belief.explored
@@ -256,26 +262,25 @@ def choose_joint(
     if not memory["lap_steps"]:
         return choose_loop(belief, poses, cfg)
     memory["go_on_until"] = memory["lap_steps"]
-    _note(belief, poses, cfg)
+    _note(belief, poses)
     seen_by = [bool(belief.explored.known_to(j).all()) for j in range(len(belief.robots))]
     return drive(
         belief,
         poses,
         cfg,
-        lambda j: _next(belief, j, poses[j], cfg, seen=seen_by[j]),
+        lambda j: _next(belief, j, poses[j], seen=seen_by[j]),
         lambda: _repair(belief, poses, cfg),
     )
 
 
-def _note(belief: LandmarkBelief, poses: np.ndarray, cfg: ExploreConfig) -> None:
+def _note(belief: LandmarkBelief, poses: np.ndarray) -> None:
     """Marks cells as seen with room to spare, a raster for each margin within the sensor's reach, growing.
 
     Poses are estimates: what was seen at the edge of the reach alone may not have been seen at all.
     """
-    joint = cfg.joint
     sure = belief.memory.setdefault("sure", np.zeros((JOINT_SURE_LEVELS, *belief.explored.fused.shape), dtype=bool))
     for k, cells in enumerate(sure):
-        mark_sure(belief, poses, (k + 1) * joint.sure_margin, cells)
+        mark_sure(belief, poses, (k + 1) * JOINT_SURE_MARGIN, cells)
 
 
 def _repair(belief: LandmarkBelief, poses: np.ndarray, cfg: ExploreConfig) -> np.ndarray:
@@ -292,10 +297,10 @@ def _repair(belief: LandmarkBelief, poses: np.ndarray, cfg: ExploreConfig) -> np
     return cover(belief, poses, cfg)
 
 
-def _next(belief: LandmarkBelief, j: int, pose: np.ndarray, cfg: ExploreConfig, *, seen: bool) -> np.ndarray | None:
+def _next(belief: LandmarkBelief, j: int, pose: np.ndarray, *, seen: bool) -> np.ndarray | None:
     """Where robot j goes: the next place of its lap while that is worth it, or of another's when all is seen."""
     memory = belief.memory
-    goal, lap = follow(belief, j, pose, cfg), memory["laps"][j]
+    goal, lap = follow(belief, j, pose), memory["laps"][j]
     late = belief.step >= memory["laps_end"]
     if seen and goal is None:
         turns = memory.setdefault("turns", {})
@@ -328,11 +333,11 @@ class Stations:
         return np.stack([self._ways[int(k)][chosen] for k in chosen])
 
 
-def stations(belief: LandmarkBelief, floor: FloorPlan, radius: float, cfg: ExploreConfig) -> Stations:
+def stations(belief: LandmarkBelief, floor: FloorPlan, radius: float) -> Stations:
     """The stations of this run for discs of `radius`, made once."""
     known: dict[float, Stations] = belief.memory.setdefault("stations", {})
     if radius not in known:
-        step = max(1, round(cfg.walls.station_spacing / floor.ground.cell))
+        step = max(1, round(WALLS_STATION_SPACING / floor.ground.cell))
         cells = np.argwhere(floor.ground.free)
         middle = np.abs(cells % step - (step - 1) / 2).sum(axis=1)
         order = np.lexsort((middle, *(cells // step).T))
@@ -346,13 +351,13 @@ def stations(belief: LandmarkBelief, floor: FloorPlan, radius: float, cfg: Explo
 
 
 def cover_among_walls(
-    belief: LandmarkBelief, floor: FloorPlan, cells: Float[np.ndarray, "n 2"], radius: float, cfg: ExploreConfig
+    belief: LandmarkBelief, floor: FloorPlan, cells: Float[np.ndarray, "n 2"], radius: float
 ) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k 2"]]:
     """Few stations (k,) that see all `cells`, the one that sees most first, and where (k, 2) to go for each.
 
     That is the place from which the middle one of the cells it newly sees is seen best.
     """
-    have = stations(belief, floor, radius, cfg)
+    have = stations(belief, floor, radius)
     row = np.full(floor.field.shape, -1)
     row[floor.field] = np.arange(int(floor.field.sum()))
     at = np.floor((cells - floor.lower) / floor.cell).astype(int)
@@ -383,10 +388,10 @@ def plan_among_walls(
     belief: LandmarkBelief, floor: FloorPlan, cells: np.ndarray, poses: np.ndarray, live: np.ndarray, cfg: ExploreConfig
 ) -> dict[int, np.ndarray]:
     """The next place (2,) for each live robot: the first of its tour, or the nearest from which new cells are seen."""
-    chosen, goals = cover_among_walls(belief, floor, cells, cfg.coverage.radius, cfg)
-    first = _approach(floor, poses[live], goals, cfg.coverage.turn_cost)
-    between = stations(belief, floor, cfg.coverage.radius, cfg).ways(floor, chosen)
-    tours, counts = balanced_tours(first, between, np.zeros_like(first), cfg.coverage.balance)
+    chosen, goals = cover_among_walls(belief, floor, cells, cfg.coverage.radius)
+    first = _approach(floor, poses[live], goals)
+    between = stations(belief, floor, cfg.coverage.radius).ways(floor, chosen)
+    tours, counts = balanced_tours(first, between, np.zeros_like(first), COVERAGE_BALANCE)
     return {int(j): goals[tours[k, 0] if counts[k] else int(np.argmin(first[k]))] for k, j in enumerate(live)}
 
 
@@ -394,12 +399,12 @@ def laps_among_walls(
     belief: LandmarkBelief, floor: FloorPlan, cells: np.ndarray, poses: np.ndarray, live: np.ndarray, cfg: ExploreConfig
 ) -> dict[int, list[np.ndarray]]:
     """For each live robot the places of its closed tour in order, its home last."""
-    chosen, _ = cover_among_walls(belief, floor, cells, cfg.loop.radius, cfg)
-    have = stations(belief, floor, cfg.loop.radius, cfg)
+    chosen, _ = cover_among_walls(belief, floor, cells, cfg.loop.radius)
+    have = stations(belief, floor, cfg.loop.radius)
     places = have.places[chosen]
-    first = _approach(floor, poses[live], places, cfg.coverage.turn_cost)
+    first = _approach(floor, poses[live], places)
     last = _ways(floor, poses[live], places)
-    tours, counts = balanced_tours(first, have.ways(floor, chosen), last, cfg.coverage.balance)
+    tours, counts = balanced_tours(first, have.ways(floor, chosen), last, COVERAGE_BALANCE)
     return {int(j): [*(places[i] for i in tours[k, : counts[k]]), poses[j, :2].copy()] for k, j in enumerate(live)}
 
 
@@ -409,8 +414,8 @@ def _ways(floor: FloorPlan, poses: np.ndarray, places: np.ndarray) -> Float[np.n
     return np.ascontiguousarray(np.minimum(floor.from_places(poses[:, :2])[:, at[:, 0], at[:, 1]], FAR))
 
 
-def _approach(floor: FloorPlan, poses: np.ndarray, places: np.ndarray, turn_cost: float) -> Float[np.ndarray, "r n"]:
+def _approach(floor: FloorPlan, poses: np.ndarray, places: np.ndarray) -> Float[np.ndarray, "r n"]:
     """The same with what turning towards the place costs."""
     d = places[None, :, :] - poses[:, None, :2]
     angle = np.abs(wrap_angle(np.arctan2(d[..., 1], d[..., 0]) - poses[:, None, 2]))
-    return np.asarray(_ways(floor, poses, places) + turn_cost * angle)
+    return np.asarray(_ways(floor, poses, places) + COVERAGE_TURN_COST * angle)

@@ -13,7 +13,7 @@ from ...kernels.walls.segments import Raster, sight_on_raster
 from ...kernels.walls.sight import nearest_views, points_in_sight
 from ...sim.landmarks import Field
 from ..ground import CostToGo, Ground
-from .config import WALLS_COMFORT, ExploreConfig, WallsConfig
+from .config import WALLS_COMFORT, ExploreConfig
 
 WALLS_VIEW_MARGIN = 1.0  # [m] a cell must be nearer than the reach to count as one that can be seen
 WALLS_VIEW_NEIGHBOURS = 5  # places around a place that must see it too: no robot stands quite where it meant to
@@ -21,6 +21,7 @@ WALLS_SEARCH_RADIUS = 5.0  # [m] around an estimated pose in which it finds grou
 WALLS_LEAST_POCKET = 1.0  # [m^2] of unseen ground that is worth telling of
 
 KEPT = 64  # goals whose distances are remembered
+WALLS_STRIDE = 3  # [cells] of its path that a robot looks ahead where room is scarce
 
 
 @dataclass(slots=True)
@@ -42,7 +43,6 @@ class FloorPlan:
     views: Int[np.ndarray, "ny nx 2"]
     pockets: tuple[float, ...]
     hidden: tuple[int, ...]
-    cfg: WallsConfig
     _to: dict[tuple[int, int], CostToGo]
 
     @property
@@ -98,8 +98,8 @@ class FloorPlan:
     ) -> Float[np.ndarray, "2"]:
         """Where (2,) to head for now to get from `place` to `goal`: as far along the path as roomy ground is in sight.
 
-        Where that is not far, `stride` cells along the path. The path keeps `room` [m] from the points `shut`, if any
-        such path leads there.
+        Where that is not far, `WALLS_STRIDE` cells along the path. The path keeps `room` [m] from the points `shut`, if
+        any such path leads there.
         """
         mine, its = self.stand(place[None])[0], self.goal_cell(goal)
         ways = self._detour(its, shut, room) if len(shut) else None
@@ -109,7 +109,7 @@ class FloorPlan:
         if not len(way):
             return goal
         last = len(way) - 1
-        k = min(self.cfg.stride, last)
+        k = min(WALLS_STRIDE, last)
         while k < last and sight_on_raster(self.roomy, way[0, ::-1] + 0.5, way[k + 1, ::-1] + 0.5):
             k += 1
         return goal if k == last else self.ground.centres(way[k][None])[0]
@@ -169,7 +169,6 @@ def survey_floor(world: Field, walls: Walls, cfg: ExploreConfig) -> FloorPlan:
         views.reshape(ny, nx, 2),
         _pockets(world, walls, 0.25 * cell, seen, cfg, room),
         tuple(int(k) for k in np.flatnonzero(marks[:, 0] < 0)),
-        cfg.walls,
         {},
     )
 

@@ -26,18 +26,29 @@ from .belief import LandmarkBelief
 from .config import CoverageConfig, ExploreConfig, JointConfig, LapSearchConfig
 from .steering import steer
 
-LAPS_FINALISTS = 2  # of these that are improved further before one is chosen
+LAPS_FIRST_PLANS = 4  # plans that are improved a little before the best of them are chosen
+LAPS_FINALISTS = 2  # of those that are improved further before one is chosen
 LAPS_FINE_SHARE = 0.4  # of the tries that the chosen one gets once more, judged on more layouts
 LAPS_FINE_HEAT = 0.25  # of the heat with which that begins: it refines and does not wander off
+LAPS_MOST_PLACES = 12  # of a lap: more make the search slower and the laps no better
+LAPS_ARRIVED = 5.0  # [m] from a place at which it is reached: cutting corners costs no coverage within the reach
+LAPS_BORDER = 12.0  # [m] from the border at which the first plans' ring lies, a little less than the reach
+LAPS_OVERLAP = 1.2  # of its share of the ring that a robot may go round, on into the next one's
+LAPS_REVISITS = 0.3  # of the changes tried under way that send a robot by a known landmark
 LAPS_TAIL_STEPS = 40  # [steps] of driving judged beyond the laps: what repair takes where something is left
 LAPS_MISSED_COST = 10.0  # [steps] for each landmark that the laps are expected to miss
 LAPS_REACH_MARGIN = 0.7  # [m] of the reach not counted on: the true drive will differ a little
+LAPS_POSE_STRIDE = 12  # [steps] between the poses that carry the information
+LAPS_LEAST_RANGE = 2.0  # [m], sightings from nearer are not counted on to tell more
 LAPS_ROUGH_LAYOUTS = 8  # of landmarks on which the map's error of first plans is judged
-LAPS_HOPELESS = ((8, 0.85), (24, 0.92))  # after so many a plan is given up whose error, times this, is too much
-LAPS_HOPELESS_BY_NOW = ((1, 0.85), (2, 0.9), (4, 0.94))  # the same under way, when layouts share what is known
+LAPS_LAYOUTS = 24  # the same of the finalists: on 8 the best plan is the one that suits just these
 LAPS_FINE_LAYOUTS = 96  # the same of the chosen one
 LAPS_LAYOUTS_BY_NOW = 4  # on which a plan is judged under way, when most landmarks are known
+LAPS_HOPELESS = ((8, 0.85), (24, 0.92))  # after so many a plan is given up whose error, times this, is too much
+LAPS_HOPELESS_BY_NOW = ((1, 0.85), (2, 0.9), (4, 0.94))  # the same under way, when layouts share what is known
 COVERAGE_REVISE_FROM = 40  # [steps] before which too little is known to change tours for
+COVERAGE_REVISE_EVERY = 10  # [steps] between changes: a robot has seen new ground as deep as half its reach by then
+COVERAGE_SURE_MARGIN = 0.7  # [m] by which a cell must be within the reach to count as seen when tours are changed
 COVERAGE_SAME_LANDMARK = 3.0  # [m] within which two landmarks count as one when tours are changed
 
 Plan = tuple[Float[np.ndarray, "r k 2"], Int[np.ndarray, " r"]]
@@ -123,7 +134,7 @@ class LapJudge:
     def drive(self, plan: Plan) -> np.ndarray:
         """Poses (M, n, 3) of a drive without noise from now on, a little longer than the task."""
         t = self.task
-        rules = LapRules(self.controls, t.submap.period, self.lower, self.upper, t.search.arrived, t.heading_cost)
+        rules = LapRules(self.controls, t.submap.period, self.lower, self.upper, LAPS_ARRIVED, t.heading_cost)
         return drive_laps(*plan, self.here, rules, max(t.steps - self.step, 0) + LAPS_TAIL_STEPS)
 
     def shares(self, track: np.ndarray) -> np.ndarray:
@@ -138,14 +149,14 @@ class LapJudge:
         Of a plan whose first layouts make it very probable that this is above `enough`, theirs alone, above it too.
         """
         s, search = self.task.submap, self.task.search
-        every = search.pose_stride
+        every = LAPS_POSE_STRIDE
         nodes = max(self.task.steps, self.step + every) // every
         whole = np.concatenate([self.past.trail[:, :-1], track], axis=1)[:, : nodes * every + 1]
         whole = np.ascontiguousarray(whole)
         sensor = LandmarkSensor(
             Sector(s.reach, s.half_angle),
             s.R,
-            search.least_range,
+            LAPS_LEAST_RANGE,
             self.step,
             search.sight_margin,
             max(1, every // search.looks),
@@ -184,8 +195,8 @@ def find_laps(task: LapTask) -> tuple[Laps, int]:
     The same for the same task; the step is no sooner than the task's.
     """
     rng, search = np.random.default_rng(0), task.search
-    rough, judge, fine = (LapJudge(task, n) for n in (LAPS_ROUGH_LAYOUTS, search.layouts, LAPS_FINE_LAYOUTS))
-    first = sorted(_first_plans(task), key=rough)[: search.first_plans]
+    rough, judge, fine = (LapJudge(task, n) for n in (LAPS_ROUGH_LAYOUTS, LAPS_LAYOUTS, LAPS_FINE_LAYOUTS))
+    first = sorted(_first_plans(task), key=rough)[:LAPS_FIRST_PLANS]
     begun = sorted((_improve(plan, rough, search.tries // 4, rng) for plan in first), key=lambda b: b[0])
     better = [_improve(plan, judge, search.tries, rng) for _, plan in begun[:LAPS_FINALISTS]]
     best = min(better, key=lambda b: b[0])[1]
@@ -196,8 +207,8 @@ def find_laps(task: LapTask) -> tuple[Laps, int]:
 @lru_cache(maxsize=8)
 def improve_tours(task: LapTask, tours: tuple[tuple[tuple[float, float], ...], ...]) -> tuple[Laps, int]:
     """Tours of places [m] made laps for a task that begins, and the step at which they show nothing new any more."""
-    judge = LapJudge(task, task.search.layouts)
-    plan = _plan([np.array(tour).reshape(-1, 2) for tour in tours], task.search.most_places)
+    judge = LapJudge(task, LAPS_LAYOUTS)
+    plan = _plan([np.array(tour).reshape(-1, 2) for tour in tours], LAPS_MOST_PLACES)
     _, plan = _improve(plan, judge, task.search.tries, np.random.default_rng(0))
     return _laps(plan), _end(plan, judge)
 
@@ -207,7 +218,7 @@ def revise_laps(task: LapTask, past: Past, laps: Laps) -> tuple[Laps, int]:
     search = task.search
     judge = LapJudge(task, LAPS_LAYOUTS_BY_NOW, past)
     rng = np.random.default_rng(judge.step)
-    _, plan = _improve(_plan(laps, search.most_places), judge, search.tries_by_now, rng)
+    _, plan = _improve(_plan(laps, LAPS_MOST_PLACES), judge, search.tries_by_now, rng)
     return _laps(plan), _end(plan, judge)
 
 
@@ -238,13 +249,13 @@ def _first_plans(task: LapTask) -> list[Plan]:
     lower, upper, starts = np.array(task.lower), np.array(task.upper), np.array(task.starts)
     around = starts[:, :2] - starts[:, :2].mean(axis=0)
     place = np.argsort(np.argsort(np.arctan2(around[:, 1], around[:, 0])))
-    plans, search = [], task.search
+    plans = []
     arc = 2 * np.pi / len(starts)
-    for turn in (arc, -arc, search.overlap * arc, -search.overlap * arc):
+    for turn in (arc, -arc, LAPS_OVERLAP * arc, -LAPS_OVERLAP * arc):
         for first in np.arange(8) * np.pi / 4:
-            ways, counts = np.zeros((len(starts), search.most_places, 2)), np.zeros(len(starts), dtype=np.int64)
+            ways, counts = np.zeros((len(starts), LAPS_MOST_PLACES, 2)), np.zeros(len(starts), dtype=np.int64)
             for j, k in enumerate(place):
-                lap = [*_on_the_ring(lower, upper, first + arc * k, turn, search.border), starts[j, :2]]
+                lap = [*_on_the_ring(lower, upper, first + arc * k, turn, LAPS_BORDER), starts[j, :2]]
                 ways[j, : len(lap)], counts[j] = lap, len(lap)
             plans.append((ways, counts))
     return plans
@@ -271,7 +282,7 @@ def _improve(
     for k in range(tries if len(judge.movers) else 0):
         left = heat * (1.0 - k / tries)
         size = 1.0 + 8.0 * left
-        back = rng.random() < judge.task.search.revisits if len(judge.past.marks) else False
+        back = rng.random() < LAPS_REVISITS if len(judge.past.marks) else False
         other = _revisiting(plan, judge, size, rng) if back else _changed(plan, judge, size, rng)
         bound = now - 2.0 * left * np.log(rng.random())
         cost = judge(other, bound)
@@ -401,16 +412,16 @@ def mark_sure(belief: LandmarkBelief, poses: np.ndarray, margin: float, cells: B
         mark_half_disc(cells, poses[j], Sector(reach - margin, half_angle - margin / reach), belief.explored.raster)
 
 
-def revise(belief: LandmarkBelief, poses: np.ndarray, cfg: CoverageConfig) -> None:
-    """Every `revise_every` steps of the laps' time, once enough is known, what is left of them is searched anew.
+def revise(belief: LandmarkBelief, poses: np.ndarray) -> None:
+    """Every so many steps of the laps' time, once enough is known, what is left of them is searched anew.
 
     To be called every step: where the robots were and what they surely saw is remembered.
     """
     memory, task = belief.memory, belief.memory["task"]
     memory.setdefault("trail", []).append(poses.copy())
     surely = memory.setdefault("surely", np.zeros_like(belief.explored.fused))
-    mark_sure(belief, poses, cfg.sure_margin, surely)
-    if not COVERAGE_REVISE_FROM <= belief.step < task.steps or belief.step % cfg.revise_every:
+    mark_sure(belief, poses, COVERAGE_SURE_MARGIN, surely)
+    if not COVERAGE_REVISE_FROM <= belief.step < task.steps or belief.step % COVERAGE_REVISE_EVERY:
         return
     laps = tuple(
         np.array(lap if alive else []).reshape(-1, 2) for lap, alive in zip(memory["laps"], belief.alive, strict=True)
@@ -425,10 +436,10 @@ def revise(belief: LandmarkBelief, poses: np.ndarray, cfg: CoverageConfig) -> No
     memory["laps"] = [list(lap) for lap in laps]
 
 
-def follow(belief: LandmarkBelief, j: int, pose: np.ndarray, cfg: ExploreConfig) -> np.ndarray | None:
+def follow(belief: LandmarkBelief, j: int, pose: np.ndarray) -> np.ndarray | None:
     """The next place (2,) of robot j's lap, None when it has passed them all; those passed are gone."""
     lap: list[np.ndarray] = belief.memory["laps"][j]
-    while lap and np.hypot(*(lap[0] - pose[:2])) < cfg.joint.search.arrived:
+    while lap and np.hypot(*(lap[0] - pose[:2])) < LAPS_ARRIVED:
         lap.pop(0)
     return lap[0] if lap else None
 

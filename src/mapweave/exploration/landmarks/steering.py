@@ -15,6 +15,8 @@ from .config import WALLS_COMFORT, ExploreConfig
 from .floor_plan import FloorPlan
 
 STEERING_LANDMARK_REACHED = 4.0  # [m] from a landmark at which a lost robot has tried it: well within the reach
+WALLS_LEG = 2.0  # [m] of the path ahead whose narrowness allows a robot to come nearer to walls
+WALLS_DETOUR = 6.0  # [m] within which a robot plans its path round places where a wall was met lately
 
 
 def offered(
@@ -57,7 +59,7 @@ def clear_controls(
     comfort = WALLS_COMFORT
     if towards is not None:
         step = towards - pose[:2]
-        near = pose[:2] + step * min(1.0, cfg.walls.leg / max(float(np.hypot(*step)), 1e-9))
+        near = pose[:2] + step * min(1.0, WALLS_LEG / max(float(np.hypot(*step)), 1e-9))
         leg = distance_of_moves(pose[None, :2].copy(), near[None], obstacles)[0] - cfg.walls.robot_radius
         comfort = min(comfort, max(cfg.walls.margin, 0.8 * float(leg)))
     controls = cfg.controls
@@ -104,7 +106,7 @@ def ahead(belief: LandmarkBelief, pose: Float[np.ndarray, "3"], goal: np.ndarray
     """Where (2,) to head for now on the way to `goal`: the goal itself in an open field, else round the walls."""
     if belief.floor is None:
         return goal
-    near = belief.contacts[np.hypot(*(belief.contacts - pose[:2]).T) < cfg.walls.detour]
+    near = belief.contacts[np.hypot(*(belief.contacts - pose[:2]).T) < WALLS_DETOUR]
     return belief.floor.waypoint(pose[:2], goal, near, cfg.walls.robot_radius + cfg.walls.margin)
 
 

@@ -30,45 +30,13 @@ from ..world import (
 
 
 @config
-class GoalConfig:
-    """When a goal is reached, done, put off or another's."""
-
-    arrived: float = 0.35  # [m] from a goal at which a robot is there: a cell and a half of the planning grid
-    snap: float = 1.0  # [m] within which a place off the ground counts as its nearest cell
-    progress: float = 0.2  # [m] nearer that counts as progress: a cell of the planning grid
-    same: float = 0.8  # [m] between places below which they are one goal: two robots' width
-
-
-@config
 class FollowerConfig:
     """How the next command along a path is chosen."""
 
-    lookahead: float = 2.0  # [m] of path that is looked ahead: three seconds at full speed
     reverse_speed: float = 1 / 3  # of the top speed backwards, to leave a tight spot
     heading_cost: float = 0.8  # [m/rad] that a wrong heading counts as,
     reverse_cost: float = 0.25  # [m] that driving backwards counts as: turning round is better where there is room
     arc_sample: float = 0.02  # [m] between the samples of an arc: half of `guard`
-
-
-@config
-class RightOfWayConfig:
-    """Two robots in one door: who goes first, where the other waits, what a stuck one does."""
-
-    meeting: float = 2.5  # [m] apart beyond which robots do not meet
-    beside: float = 0.1  # [m] beyond what two robots need to pass, where a robot waits
-    parted: float = 1.5  # times `meeting` apart beyond which nobody waits for the other any more
-    standing: float = 0.03  # [m] a step, up to which a robot stands still
-
-
-@config
-class AllocationConfig:
-    """Which robot gets which piece of frontier."""
-
-    turn_cost: float = 0.6  # [m/rad] that turning towards a goal counts as: what the robot would drive meanwhile
-    wall_cost: int = 4  # what a metre of path by a wall counts beside one in the open, 1 to 255
-    parked_cost: int = 12  # what a metre of path where a robot stands counts: one goes round it if one can
-    balance: float = 0.3  # what the sum of all tours weighs beside the longest
-    stretch: int = 3  # places of a tour that are moved together to better it, at most
 
 
 @config
@@ -85,24 +53,13 @@ class LaserExploreConfig:
     margin: float = 0.1  # [m] beyond the radius that planned paths keep from walls: half a cell
     guard: float = 0.04  # [m] beyond the radius that a driven arc keeps from every point of the present scan
     apart: float = 0.12  # [m] beyond two radii that a driven arc keeps from the path another robot just chose
-    roomy: float = 0.6  # [m] from walls, where a path costs no more than its length
-    sliver: float = 0.15  # [m^2], unknown patches smaller than this are nobody's goal: four cells
     split: float = 2.5  # [m], longest side of a piece of frontier that makes one goal
     most_goals: int = 40  # considered at once; longer frontiers are cut into larger pieces
-    replan_every: int = 12  # [steps] between plans: six seconds, in which a robot sees a new room
-    keep: float = 2.0  # [m] that another goal must be nearer before a robot changes its mind
-    service: float = 2.0  # [m] that looking round at a goal counts as
-    patience: int = 40  # [steps] without coming nearer after which a goal is put off
-    look: int = 4  # [steps] at a goal that nothing new comes of after which it is put off
-    put_off: int = 100  # [steps] for which a goal is put off; twice as long every time
     w_accuracy: float = 1 / 3  # weight of known walls around a goal, planners `paper` and `area`
     w_area: float = 1 / 3  # weight of unknown ground around a goal
     w_apart: float = 1 / 3  # weight of the distance from the others
     max_steps: int = 20000  # [steps] after which a run ends unfinished
-    goals: GoalConfig = GoalConfig()
     follower: FollowerConfig = FollowerConfig()
-    right_of_way: RightOfWayConfig = RightOfWayConfig()
-    allocation: AllocationConfig = AllocationConfig()
 
 
 @config
@@ -116,10 +73,6 @@ class LaserMissionConfig:
     plan: LaserExploreConfig = field(default_factory=LaserExploreConfig)
     map_resolution: float = 0.05  # [m], of the map that is written and scored
     tolerance: float = 0.1  # [m] from a wall up to which a cell of the map shows it: two cells
-    beam_stride: int = 4  # every so many beams are sampled for it
-    frontier_check_every: int = 10  # [steps] between looks for frontiers where the planner never says it has finished
-    false_distance: float = 0.5  # [m] off the truth beyond which a closure counts as joining places that are two
-    false_turn: float = float(np.radians(8.0))  # [rad] off the truth, the same
 
     def planning(self) -> LaserExploreConfig:
         """The planner's configuration, with the limits and the reach of the robots."""

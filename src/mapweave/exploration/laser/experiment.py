@@ -27,6 +27,9 @@ from .config import LaserMissionConfig, LaserPlace, LaserScenarioConfig, make_pl
 from .frontiers import mapped_ground, pockets
 from .mission import LaserRun, LaserStepRecord
 
+FALSE_DISTANCE = 0.5  # [m] off the truth beyond which a closure counts as joining places that are two
+FALSE_TURN = float(np.radians(8.0))  # [rad] off the truth, the same
+
 
 @dataclass(frozen=True, slots=True)
 class LaserScore(RunScore):
@@ -75,7 +78,7 @@ def score(
         c_per_n=float(np.mean(ellipse)) if ellipse else None,
         nees_per_dof=float(np.mean(nees)) if nees else None,
         duplicates=None,
-        misassociations=sum(is_false(c, true, cfg) for c in believed),
+        misassociations=sum(is_false(c, true) for c in believed),
         missed=None,
         ms_per_decision=1e3 * sum(m.seconds for m in moments) / max(sum(m.decisions for m in moments), 1),
         robots=len(mission_run.robots),
@@ -101,10 +104,10 @@ def true_keyframes(mission_run: LaserRun, moments: list[LaserStepRecord]) -> Flo
     return np.asarray(poses[rows, mission_run.team.owner]).reshape(-1, 3)
 
 
-def is_false(closure: Closure, true: Float[np.ndarray, "n 3"], cfg: LaserMissionConfig) -> bool:
+def is_false(closure: Closure, true: Float[np.ndarray, "n 3"]) -> bool:
     """Whether a closure says two places are one that are not."""
     off = se2.between(closure.measured, se2.between(true[closure.first], true[closure.second]))
-    return bool(np.hypot(off[0], off[1]) > cfg.false_distance or abs(off[2]) > cfg.false_turn)
+    return bool(np.hypot(off[0], off[1]) > FALSE_DISTANCE or abs(off[2]) > FALSE_TURN)
 
 
 def trajectory_rmse(mission_run: LaserRun, moments: list[LaserStepRecord]) -> float | None:
@@ -303,7 +306,7 @@ def _pockets(mission_run: LaserRun) -> np.ndarray:
     alive = np.flatnonzero(mission_run.alive)
     poses = mission_run.team.poses()[:, :2]
     ground = mapped_ground(mission_run.grid, poses[alive], np.delete(poses, alive, axis=0), mission_run.plan)
-    return pockets(ground, mission_run.plan)
+    return pockets(ground)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,10 @@ from ..ground import Ground, nearest_cells
 from .config import LaserExploreConfig
 
 EIGHT = np.ones((3, 3), dtype=bool)
+GOALS_SNAP = 1.0  # [m] within which a place off the ground counts as its nearest cell
+SHARED_WALL_COST = 4  # what a metre of path by a wall counts beside one in the open, 1 to 255
+ROOMY = 0.6  # [m] from walls, where a path costs no more than its length
+SLIVER = 0.15  # [m^2], unknown patches smaller than this are nobody's goal: four cells
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,30 +49,28 @@ def mapped_ground(
     blocked = grid.occupied
     if len(obstacles):
         blocked = blocked | disc_mask(grid, obstacles, cfg.radius)
-    snap = cfg.goals.snap
-    keep, dearest = cfg.radius + cfg.margin, cfg.allocation.wall_cost
+    keep = cfg.radius + cfg.margin
     away = ndimage.distance_transform_edt(~blocked) * grid.resolution if blocked.any() else np.full(blocked.shape, 1e3)
     fits = away >= keep - 1e-9
     regions, _ = ndimage.label(fits & grid.free)
-    wanted = np.unique(
-        [regions[tuple(c)] for c in nearest_cells(regions > 0, grid.origin, grid.resolution, places, snap) if c[0] >= 0]
-    )
+    stand = nearest_cells(regions > 0, grid.origin, grid.resolution, places, GOALS_SNAP)
+    wanted = np.unique([regions[tuple(c)] for c in stand if c[0] >= 0])
     reach = np.isin(regions, wanted[wanted > 0]) if len(wanted) else np.zeros(fits.shape, dtype=bool)
-    near_wall = np.clip((cfg.roomy - away) / max(cfg.roomy - keep, 1e-6), 0.0, 1.0)
-    weight = np.where(reach, 1 + np.round((dearest - 1) * near_wall), 0).astype(np.uint8)
-    return MappedGround(weight, grid.origin, grid.resolution, snap, grid=grid, fits=fits)
+    near_wall = np.clip((ROOMY - away) / max(ROOMY - keep, 1e-6), 0.0, 1.0)
+    weight = np.where(reach, 1 + np.round((SHARED_WALL_COST - 1) * near_wall), 0).astype(np.uint8)
+    return MappedGround(weight, grid.origin, grid.resolution, GOALS_SNAP, grid=grid, fits=fits)
 
 
 def frontiers(ground: MappedGround, cfg: LaserExploreConfig) -> list[Frontier]:
     """Reached cells next to unknown ones where the disc might fit, cut into pieces of at most `split` metres.
 
-    Unknown patches smaller than `sliver` do not count. Pieces grow until there are at most `most_goals`.
+    Unknown patches smaller than `SLIVER` do not count. Pieces grow until there are at most `most_goals`.
     """
     grid = ground.grid
     unknown = ground.fits & grid.unknown
     patches, count = ndimage.label(unknown, structure=EIGHT)
     if count:
-        big = np.bincount(patches.ravel()) * grid.resolution**2 >= cfg.sliver - 1e-9
+        big = np.bincount(patches.ravel()) * grid.resolution**2 >= SLIVER - 1e-9
         big[0] = False
         unknown = big[patches]
     edge = ground.free & ndimage.binary_dilation(unknown, structure=EIGHT)
@@ -98,14 +100,14 @@ def _piece(grid: Occupancy, unknown: np.ndarray, cells: np.ndarray) -> Frontier:
     return Frontier(place, grid.centres(beside), len(cells))
 
 
-def pockets(ground: MappedGround, cfg: LaserExploreConfig) -> Float[np.ndarray, "n 2"]:
+def pockets(ground: MappedGround) -> Float[np.ndarray, "n 2"]:
     """Middles (n, 2) [m] of patches known to be free, large enough to matter, that no robot gets to."""
     labels, count = ndimage.label(ground.grid.free & ground.fits & ~ground.free)
     if not count:
         return np.zeros((0, 2))
     sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:] * ground.grid.resolution**2
     middles = np.array(ndimage.center_of_mass(labels > 0, labels, np.arange(1, count + 1))).reshape(-1, 2)
-    kept = middles[sizes >= max(1.0, cfg.sliver)]
+    kept = middles[sizes >= max(1.0, SLIVER)]
     return np.asarray(ground.grid.origin + (kept[:, ::-1] + 0.5) * ground.grid.resolution)
 
 

@@ -24,6 +24,12 @@ from .frontiers import MappedGround, disc_mask, frontiers, mapped_ground
 WAY_LEFT_PLACE = 0.6  # [m] from where a robot was beyond which it has left that place
 PLAN_GIVE_UP = 3  # times a goal was put off, then it is given up
 MISSION_NEW_GROUND = 12  # samples on beams in unknown cells from which on a scan showed something new
+GOALS_SAME = 0.8  # [m] between places below which they are one goal: two robots' width
+WAY_STANDING = 0.03  # [m] a step, up to which a robot stands still
+SHARED_PARKED_COST = 12  # what a metre of path where a robot stands counts: one goes round it if one can
+GOALS_PUT_OFF = 100  # [steps] for which a goal is put off; twice as long every time
+MISSION_BEAM_STRIDE = 4  # every so many beams are looked along for that
+MISSION_FRONTIER_CHECK_EVERY = 10  # [steps] between looks for frontiers where the planner never says it has finished
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,20 +109,20 @@ class PlannerState:
         """Places that nobody tries to reach any more."""
         return np.array([p for p, _, times in self.put_off if times >= PLAN_GIVE_UP]).reshape(-1, 2)
 
-    def barred(self, place: np.ndarray, step: int, cfg: LaserExploreConfig, *, waiting: bool = True) -> bool:
+    def barred(self, place: np.ndarray, step: int, *, waiting: bool = True) -> bool:
         """Whether `place` was given up, or (`waiting`) was put off until later than `step`."""
         return any(
-            np.hypot(*(place - p)) < cfg.goals.same and (times >= PLAN_GIVE_UP or (waiting and step < until))
+            np.hypot(*(place - p)) < GOALS_SAME and (times >= PLAN_GIVE_UP or (waiting and step < until))
             for p, until, times in self.put_off
         )
 
-    def defer(self, place: np.ndarray, step: int, cfg: LaserExploreConfig) -> None:
+    def defer(self, place: np.ndarray, step: int) -> None:
         """`place` is not tried for a while, longer every time."""
         for k, (p, _, times) in enumerate(self.put_off):
-            if np.hypot(*(place - p)) < cfg.goals.same:
-                self.put_off[k] = (p, step + cfg.put_off * 2**times, times + 1)
+            if np.hypot(*(place - p)) < GOALS_SAME:
+                self.put_off[k] = (p, step + GOALS_PUT_OFF * 2**times, times + 1)
                 return
-        self.put_off.append((place.copy(), step + cfg.put_off, 1))
+        self.put_off.append((place.copy(), step + GOALS_PUT_OFF, 1))
 
 
 @dataclass(slots=True)
@@ -129,7 +135,7 @@ class YieldPlace:
     until: int
 
 
-def planner_state_of(belief: LaserBelief, poses: np.ndarray, cfg: LaserExploreConfig) -> PlannerState:
+def planner_state_of(belief: LaserBelief, poses: np.ndarray) -> PlannerState:
     """The state in the planner's memory, made at the first call, brought up to date with `poses` (M, 3)."""
     state: PlannerState = belief.memory.setdefault("planner_state", PlannerState())
     M = len(poses)
@@ -139,7 +145,7 @@ def planner_state_of(belief: LaserBelief, poses: np.ndarray, cfg: LaserExploreCo
         state.still = np.zeros(M, dtype=np.int64)
         state.about = np.column_stack([poses[:, :2], np.full(M, belief.step)])
     else:
-        moving = np.hypot(*(poses[:, :2] - state.last[:, :2]).T) > cfg.right_of_way.standing
+        moving = np.hypot(*(poses[:, :2] - state.last[:, :2]).T) > WAY_STANDING
         state.still = np.where(moving, 0, state.still + 1)
         left = np.hypot(*(poses[:, :2] - state.about[:, :2]).T) > WAY_LEFT_PLACE
         state.about[left] = np.column_stack([poses[left, :2], np.full(int(left.sum()), belief.step)])
@@ -148,11 +154,11 @@ def planner_state_of(belief: LaserBelief, poses: np.ndarray, cfg: LaserExploreCo
 
 
 def with_parked(ground: MappedGround, parked: np.ndarray, cfg: LaserExploreConfig) -> Ground:
-    """`ground` that costs `parked_cost` where robots stand at `parked` (k, 2): one goes round them if one can."""
+    """`ground` that is dear where robots stand at `parked` (k, 2): one goes round them if one can."""
     if not len(parked):
         return ground
     taken = disc_mask(ground.grid, parked, 2 * cfg.radius + cfg.apart) & ground.free
-    weight = np.where(taken, np.uint8(cfg.allocation.parked_cost), ground.weight)
+    weight = np.where(taken, np.uint8(SHARED_PARKED_COST), ground.weight)
     return Ground(np.ascontiguousarray(weight), ground.lower, ground.cell, ground.snap)
 
 
@@ -163,7 +169,7 @@ def route_to(
     priced = with_parked(ground, parked, cfg)
     source = priced.cells(place[None])
     ways = priced.cost_to_go(source[source[:, 0] >= 0], far)
-    return ClearCostToGo(priced, ways.cost, clear=priced.free & (priced.weight < cfg.allocation.parked_cost))
+    return ClearCostToGo(priced, ways.cost, clear=priced.free & (priced.weight < SHARED_PARKED_COST))
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,7 +280,7 @@ class LaserRun:
             return False
         if "finished" in self.memory:
             return bool(self.memory["finished"])
-        if self.step % self.cfg.frontier_check_every:
+        if self.step % MISSION_FRONTIER_CHECK_EVERY:
             return False
         poses = self.team.poses()[:, :2]
         return not frontiers(mapped_ground(self.grid, poses[self.alive], poses[~self.alive], self.plan), self.plan)
@@ -319,8 +325,8 @@ class LaserRun:
     def _shows_new(self, scan: Scan, pose: Float[np.ndarray, "3"]) -> bool:
         """Whether the scan's beams pass cells that the map did not know before it."""
         grid = self.grid
-        angle = (scan.angles() + pose[2])[:: self.cfg.beam_stride]
-        r = np.minimum(scan.ranges[:: self.cfg.beam_stride], self.plan.reach)
+        angle = (scan.angles() + pose[2])[::MISSION_BEAM_STRIDE]
+        r = np.minimum(scan.ranges[::MISSION_BEAM_STRIDE], self.plan.reach)
         along = np.arange(0.5, self.plan.reach / grid.resolution) * grid.resolution
         kept = along[None] < r[:, None] - grid.resolution
         points = pose[:2] + along[None, :, None] * np.column_stack([np.cos(angle), np.sin(angle)])[:, None]

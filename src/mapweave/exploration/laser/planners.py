@@ -16,8 +16,9 @@ from ...kernels.exploration.tours import balanced_tours, improve_tours
 from ...kernels.exploration.wavefront import NO_LIMIT, STRAIGHT, spread
 from ..ground import FAR, Ground
 from .config import LaserExploreConfig
-from .frontiers import Frontier, MappedGround, disc_mask, frontiers, mapped_ground, pockets
+from .frontiers import ROOMY, Frontier, MappedGround, disc_mask, frontiers, mapped_ground, pockets
 from .mission import (
+    GOALS_SAME,
     ClearCostToGo,
     Goal,
     LaserBelief,
@@ -30,9 +31,9 @@ from .mission import (
 
 GOALS_SEEN_SHARE = 0.8  # of a goal's unknown cells after which it is done: the rest is noise of the walls
 GOALS_SPARE_WAY = 20.0  # [m] farther than needed that paths to a goal are looked for, so that detours are known
-GOALS_PATIENCE_FACTOR = 10  # times `patience` after which a goal is put off however often it came nearer
+GOALS_PATIENCE_FACTOR = 10  # times `GOALS_PATIENCE` after which a goal is put off however often it came nearer
 FOLLOW_HEADING_NEAR = 0.3  # [m] from the place, and less nearer by
-FOLLOW_CLOSENESS_COST = 0.3  # [m] that a metre of clearance below `roomy` counts as
+FOLLOW_CLOSENESS_COST = 0.3  # [m] that a metre of clearance below `ROOMY` counts as
 WAY_NEXT_WAY = 2.0  # [m] of a robot's path on which another stands in its way
 WAY_CLEAR_WAY = 6.0  # [m] of the other's path that a waiting robot keeps clear of: through a door and on
 WAY_WAIT_STEPS = 40  # [steps] that a robot waits aside at most
@@ -46,6 +47,20 @@ SHARED_SAME_PIECE = 1.5  # [m] from the goal that was made of it within which wh
 SHARED_ON_THE_WAY = 1.0  # [m], a detour that small is none
 PLAN_REPLAN_SOONEST = 4  # [steps] between plans at least, when a robot has nothing to do
 PLAN_W_WAY = 0.5  # what 20 m of path cost beside these
+GOALS_ARRIVED = 0.35  # [m] from a goal at which a robot is there: a cell and a half of the planning grid
+GOALS_PROGRESS = 0.2  # [m] nearer that counts as progress: a cell of the planning grid
+FOLLOW_LOOKAHEAD = 2.0  # [m] of path that is looked ahead: three seconds at full speed
+WAY_MEETING = 2.5  # [m] apart beyond which robots do not meet
+WAY_BESIDE = 0.1  # [m] beyond what two robots need to pass, where a robot waits
+WAY_PARTED = 1.5  # times `WAY_MEETING` apart beyond which nobody waits for the other any more
+SHARED_TURN_COST = 0.6  # [m/rad] that turning towards a goal counts as: what the robot would drive meanwhile
+SHARED_BALANCE = 0.3  # what the sum of all tours weighs beside the longest
+SHARED_STRETCH = 3  # places of a tour that are moved together to better it, at most
+PLAN_REPLAN_EVERY = 12  # [steps] between plans: six seconds, in which a robot sees a new room
+PLAN_KEEP = 2.0  # [m] that another goal must be nearer before a robot changes its mind
+PLAN_SERVICE = 2.0  # [m] that looking round at a goal counts as
+GOALS_PATIENCE = 40  # [steps] without coming nearer after which a goal is put off
+GOALS_LOOK = 4  # [steps] at a goal that nothing new comes of after which it is put off
 
 
 @cache
@@ -68,7 +83,7 @@ def collision_free(
     near each comes (m,).
     """
     stride = cfg.speed * cfg.period
-    near = points[np.hypot(*points.T) < least + stride + cfg.roomy]
+    near = points[np.hypot(*points.T) < least + stride + ROOMY]
     clearance = arc_clearance(commands, cfg.period, np.ascontiguousarray(near), cfg.follower.arc_sample)
     still = np.hypot(*near.T).min() if len(near) else np.inf
     return clearance >= min(least, still) - 1e-9, clearance
@@ -97,7 +112,7 @@ def steer(
     distance = np.hypot(d[:, 0], d[:, 1])
     error = np.abs(wrap_angle(np.arctan2(d[:, 1], d[:, 0]) - ends[:, 2]))
     error = error * np.minimum(1.0, distance / FOLLOW_HEADING_NEAR)
-    tight = np.clip(cfg.roomy - clearance, 0.0, cfg.roomy)
+    tight = np.clip(ROOMY - clearance, 0.0, ROOMY)
     backwards = cfg.follower.reverse_cost * (commands[:, 0] < 0.0)
     cost = np.where(
         free, distance + cfg.follower.heading_cost * error + FOLLOW_CLOSENESS_COST * tight + backwards, np.inf
@@ -131,11 +146,11 @@ def resolve_conflicts(
     """Whoever stands in the way of a robot that goes first gets a place aside; who has waited long enough goes on."""
     _end_waiting(state, poses, live, step, cfg)
     _get_unstuck(state, poses, live, step, cfg)
-    ranked, rules = priority_order(state, live), cfg.right_of_way
+    ranked = priority_order(state, live)
     near = 2 * cfg.radius + cfg.apart
     for a, i in enumerate(ranked):
         for k in ranked[a + 1 :]:
-            if k in state.yielding or np.hypot(*(poses[i, :2] - poses[k, :2])) > rules.meeting:
+            if k in state.yielding or np.hypot(*(poses[i, :2] - poses[k, :2])) > WAY_MEETING:
                 continue
             if not _in_way(state, poses, i, k, near, WAY_NEXT_WAY):
                 continue
@@ -170,7 +185,7 @@ def _yield_to(state: PlannerState, poses: np.ndarray, k: int, i: int, step: int,
         weight[disc_mask(ground.grid, others, near)] = 0
     left = Ground(weight, ground.lower, ground.cell, ground.snap)
     cost = left.cost_to_go(left.cells(poses[k : k + 1, :2])).cost
-    cost[disc_mask(ground.grid, way, near + cfg.right_of_way.beside)] = -1
+    cost[disc_mask(ground.grid, way, near + WAY_BESIDE)] = -1
     cells = np.argwhere(cost >= 0)
     if len(cells) == 0:
         return False
@@ -181,14 +196,14 @@ def _yield_to(state: PlannerState, poses: np.ndarray, k: int, i: int, step: int,
 
 
 def _end_waiting(state: PlannerState, poses: np.ndarray, live: np.ndarray, step: int, cfg: LaserExploreConfig) -> None:
-    near, rules = 2 * cfg.radius + cfg.apart, cfg.right_of_way
+    near = 2 * cfg.radius + cfg.apart
     for k, waiting in list(state.yielding.items()):
         i = waiting.whom
         if i == k:
             if step >= waiting.until or np.hypot(*(waiting.place - poses[k, :2])) < WAY_RETRY_ARRIVED:
                 del state.yielding[k]
             continue
-        gone = i not in live or np.hypot(*(poses[i, :2] - poses[k, :2])) > rules.parted * rules.meeting
+        gone = i not in live or np.hypot(*(poses[i, :2] - poses[k, :2])) > WAY_PARTED * WAY_MEETING
         passed = not _in_way(state, poses, i, k, near, WAY_CLEAR_WAY) and not _goal_blocked(state, poses, k, i, near)
         if gone or passed or step >= waiting.until:
             del state.yielding[k]
@@ -269,7 +284,7 @@ def allocation_problem(
     for r, j in enumerate(live):
         away = departures(costs, cells[r])
         first[r] += np.where(
-            np.isfinite(away), cfg.allocation.turn_cost * np.abs(wrap_angle(np.nan_to_num(away) - poses[j, 2])), 0.0
+            np.isfinite(away), SHARED_TURN_COST * np.abs(wrap_angle(np.nan_to_num(away) - poses[j, 2])), 0.0
         )
     return AllocationProblem(
         pieces, tuple(map(int, live)), first, metres[m:], poses[live], ground, _held(state, pieces)
@@ -315,9 +330,9 @@ def _held(state: PlannerState, pieces: list[Frontier]) -> dict[int, int]:
     return out
 
 
-def keep_commitments(problem: AllocationProblem, chosen: dict[int, int], cfg: LaserExploreConfig) -> dict[int, int]:
+def keep_commitments(problem: AllocationProblem, chosen: dict[int, int]) -> dict[int, int]:
     """`chosen`, but who is on the way to a piece goes on, unless another robot does it, or the new one is nearer by
-    `keep` or lies on the way. Since every change of mind brings a goal nearer there is no driving to and fro.
+    `PLAN_KEEP` or lies on the way. Since every change of mind brings a goal nearer there is no driving to and fro.
     """
     out = dict(chosen)
     row = {j: r for r, j in enumerate(problem.robots)}
@@ -331,7 +346,7 @@ def keep_commitments(problem: AllocationProblem, chosen: dict[int, int], cfg: La
             continue
         if n is not None:
             to = problem.first[row[j], n]
-            if to < far - cfg.keep or to + problem.between[n, h] < far + SHARED_ON_THE_WAY:
+            if to < far - PLAN_KEEP or to + problem.between[n, h] < far + SHARED_ON_THE_WAY:
                 continue
         out[j] = h
         if who is not None and n is not None:
@@ -343,9 +358,10 @@ def keep_commitments(problem: AllocationProblem, chosen: dict[int, int], cfg: La
 
 def by_tours(problem: AllocationProblem, cfg: LaserExploreConfig) -> dict[int, int]:
     """Robot -> piece: the first of its tour, the tours short in the longest and then in the sum."""
-    first, between = (np.ascontiguousarray(cost + cfg.service) for cost in (problem.first, problem.between))
-    tours, counts = balanced_tours(first, between, np.zeros_like(first), cfg.allocation.balance)
-    improve_tours(first, between, tours, counts, cfg.allocation.stretch)
+    del cfg
+    first, between = (np.ascontiguousarray(cost + PLAN_SERVICE) for cost in (problem.first, problem.between))
+    tours, counts = balanced_tours(first, between, np.zeros_like(first), SHARED_BALANCE)
+    improve_tours(first, between, tours, counts, SHARED_STRETCH)
     chosen = {j: int(tours[r, 0]) for r, j in enumerate(problem.robots) if counts[r]}
     return {j: n for j, n in chosen.items() if problem.first[problem.robots.index(j), n] < FAR / 2}
 
@@ -376,10 +392,7 @@ def by_objective(w_accuracy: float) -> Allocator:
                 d = np.array([[np.hypot(*(f.place - o)) for o in others] for f in problem.pieces])
                 J = J + cfg.w_apart * np.minimum(d / (2 * cfg.reach), 1.0).mean(axis=1)
                 J = J - np.array(
-                    [
-                        1.0 if any(np.hypot(*(f.place - o)) < cfg.goals.same for o in taken) else 0.0
-                        for f in problem.pieces
-                    ]
+                    [1.0 if any(np.hypot(*(f.place - o)) < GOALS_SAME for o in taken) else 0.0 for f in problem.pieces]
                 )
             J = np.where(problem.first[r] < FAR / 2, J, -np.inf)
             if len(J) and np.isfinite(J.max()):
@@ -412,10 +425,10 @@ def choose_goals(
     go_home: bool = False,
 ) -> PlannerState:
     """Where each robot heads by `allocate`, for robots that find their ways themselves; sets the memory as `drive`."""
-    state = planner_state_of(belief, poses, cfg)
+    state = planner_state_of(belief, poses)
     live = np.flatnonzero(belief.alive)
-    _tidy(state, belief, poses, live, cfg)
-    if _due(state, belief.step, live, cfg):
+    _tidy(state, belief, poses, live)
+    if _due(state, belief.step, live):
         _plan(state, belief, poses, live, cfg, allocate, go_home=go_home)
     belief.memory["goals"] = {j: goal.place for j, goal in state.goals.items()}
     return state
@@ -441,7 +454,7 @@ def drive(
     will_be = {int(j): poses[j : j + 1, :2] for j in live}
     for j in priority_order(state, live):
         route = current_route(state, j)
-        target = None if route is None else route.target(poses[j, :2], cfg.follower.lookahead)
+        target = None if route is None else route.target(poses[j, :2], FOLLOW_LOOKAHEAD)
         if target is not None and np.hypot(*(target - poses[j, :2])) < 0.5 * cfg.resolution:
             target = None
         others = np.concatenate([np.zeros((0, 2)), *(p for k, p in will_be.items() if k != j)])
@@ -450,41 +463,39 @@ def drive(
     return out
 
 
-def _tidy(
-    state: PlannerState, belief: LaserBelief, poses: np.ndarray, live: np.ndarray, cfg: LaserExploreConfig
-) -> None:
+def _tidy(state: PlannerState, belief: LaserBelief, poses: np.ndarray, live: np.ndarray) -> None:
     """Goals that are seen are done; those reached for nothing or out of reach for long are put off."""
     state.yielding = {j: place for j, place in state.yielding.items() if j in live}
     state.goals = {j: goal for j, goal in state.goals.items() if j in live}
     for j, goal in list(state.goals.items()):
         left = float(goal.route.metres_from(poses[j : j + 1, :2])[0])
-        if left < goal.least - cfg.goals.progress:
+        if left < goal.least - GOALS_PROGRESS:
             goal.least, goal.since = left, belief.step
         elif j in state.yielding:
             goal.since += 1
-        if left < cfg.goals.arrived and goal.at is None:
+        if left < GOALS_ARRIVED and goal.at is None:
             goal.at = belief.step
         if (
             len(goal.unknown)
             and (belief.grid.state[tuple(belief.grid.cells(goal.unknown).T)] >= 0).mean() >= GOALS_SEEN_SHARE
         ):
             goal.done = True
-        elif _in_vain(goal, belief.step, cfg):
-            state.defer(goal.place, belief.step, cfg)
+        elif _in_vain(goal, belief.step):
+            state.defer(goal.place, belief.step)
             del state.goals[j]
 
 
-def _in_vain(goal: Goal, step: int, cfg: LaserExploreConfig) -> bool:
+def _in_vain(goal: Goal, step: int) -> bool:
     """Whether nothing new comes of standing at the goal, or the robot does not get there."""
     if goal.at is not None:
-        return len(goal.unknown) > 0 and step - goal.at >= cfg.look
-    return step - goal.since > cfg.patience or step - goal.born > GOALS_PATIENCE_FACTOR * cfg.patience
+        return len(goal.unknown) > 0 and step - goal.at >= GOALS_LOOK
+    return step - goal.since > GOALS_PATIENCE or step - goal.born > GOALS_PATIENCE_FACTOR * GOALS_PATIENCE
 
 
-def _due(state: PlannerState, step: int, live: np.ndarray, cfg: LaserExploreConfig) -> bool:
+def _due(state: PlannerState, step: int, live: np.ndarray) -> bool:
     age = step - state.planned
     idle = any(j not in state.goals or state.goals[j].done for j in live)
-    return state.planned_for != tuple(live) or age >= cfg.replan_every or (idle and age >= PLAN_REPLAN_SOONEST)
+    return state.planned_for != tuple(live) or age >= PLAN_REPLAN_EVERY or (idle and age >= PLAN_REPLAN_SOONEST)
 
 
 def _plan(
@@ -501,21 +512,21 @@ def _plan(
     dead = poses[~belief.alive, :2]
     ground = mapped_ground(belief.grid, poses[live, :2], dead, cfg)
     state.ground, state.planned, state.planned_for = ground, belief.step, tuple(live)
-    open_pieces = [f for f in frontiers(ground, cfg) if not state.barred(f.place, belief.step, cfg, waiting=False)]
-    pieces = [f for f in open_pieces if not state.barred(f.place, belief.step, cfg)] or open_pieces
+    open_pieces = [f for f in frontiers(ground, cfg) if not state.barred(f.place, belief.step, waiting=False)]
+    pieces = [f for f in open_pieces if not state.barred(f.place, belief.step)] or open_pieces
     belief.memory["given_up"] = state.given_up()
-    belief.memory["pockets"] = pockets(ground, cfg)
+    belief.memory["pockets"] = pockets(ground)
     old = state.goals
     if pieces:
         problem = allocation_problem(ground, pieces, state, poses, live, cfg)
-        shared = keep_commitments(problem, allocate(problem, cfg), cfg)
+        shared = keep_commitments(problem, allocate(problem, cfg))
         stand = parked(state, poses, live)
         state.goals = {}
         for j, n in shared.items():
             far = GOALS_SPARE_WAY + 2.0 * float(problem.first[problem.robots.index(j), n])
             route = route_to(ground, pieces[n].place, stand, cfg, far)
             state.goals[j] = _goal(
-                old.get(j), Goal(pieces[n].place, pieces[n].unknown, route, belief.step, belief.step), cfg
+                old.get(j), Goal(pieces[n].place, pieces[n].unknown, route, belief.step, belief.step)
             )
     else:
         state.goals = {}
@@ -524,9 +535,9 @@ def _plan(
     belief.memory["finished"] = not pieces and not state.goals
 
 
-def _goal(old: Goal | None, new: Goal, cfg: LaserExploreConfig) -> Goal:
+def _goal(old: Goal | None, new: Goal) -> Goal:
     """The new goal, with the old one's patience where it is the same place."""
-    if old is not None and not old.done and np.hypot(*(old.place - new.place)) < cfg.goals.same:
+    if old is not None and not old.done and np.hypot(*(old.place - new.place)) < GOALS_SAME:
         return replace(new, since=old.since, born=old.born, least=old.least, at=old.at)
     return new
 
@@ -538,10 +549,10 @@ def _send_home(
     if state.home is None or state.ground is None:
         return
     for j in map(int, live):
-        away = np.hypot(*(poses[j, :2] - state.home[j])) > 2 * cfg.goals.arrived
-        if away and not state.barred(state.home[j], step, cfg, waiting=False):
+        away = np.hypot(*(poses[j, :2] - state.home[j])) > 2 * GOALS_ARRIVED
+        if away and not state.barred(state.home[j], step, waiting=False):
             route = route_to(state.ground, state.home[j], np.zeros((0, 2)), cfg)
-            state.goals[j] = _goal(old.get(j), Goal(state.home[j], np.zeros((0, 2)), route, step, step), cfg)
+            state.goals[j] = _goal(old.get(j), Goal(state.home[j], np.zeros((0, 2)), route, step, step))
 
 
 def coverage(belief: LaserBelief, poses: Float[np.ndarray, "r 3"], cfg: LaserExploreConfig) -> Float[np.ndarray, "r 2"]:
