@@ -564,7 +564,7 @@ ONCE_LET_PASS: tuple[Named, ...] = (
         ("tests/solve/test_minimise.py",),
     ),
     Named("laser:Closure", "if nis > c.gate:", "if nis > 100 * c.gate:", CLOSURES),
-    Named("laser:Closure", "if values[1] < c.least_information:", "if False:", CLOSURES),
+    Named("laser:Closure", "if values[1] < CLOSURE_LEAST_INFORMATION:", "if False:", CLOSURES),
     Named(
         "mapping:KeyframeGraph",
         "C = se2.turned_covariance(-(self.pose[a, 2] - self.pose[k, 2]), C)",

@@ -8,7 +8,15 @@ import pytest
 from mapweave.core import se2
 from mapweave.core.records import Scan
 from mapweave.laser.beam import BeamConfig, beams
-from mapweave.laser.closures import ClosureConfig, Matched, Place, PlaceMatcher
+from mapweave.laser.closures import (
+    CLOSURE_BLUR,
+    CLOSURE_FLOOR,
+    CLOSURE_TRUST,
+    ClosureConfig,
+    Matched,
+    Place,
+    PlaceMatcher,
+)
 from mapweave.laser.keyframes import Keyframe, believed, carried
 from mapweave.laser.pose_graph import PoseGraph, Solved, problem
 from mapweave.mapping.config import ALL_ROUND
@@ -53,11 +61,11 @@ def test_a_match_where_the_estimate_allows_it_is_believed_with_its_own_informati
     assert np.abs(se2.between(true, match.measured)).max() < 0.02
     matcher = PlaceMatcher(CFG, ALL_ROUND)
     matcher.front_end.hold(place.scans)
-    lines = believed(matcher.front_end.information(seen(true), match.measured), CFG.trust, CFG.blur)
-    floor = np.diag([CFG.floor_xy**2, CFG.floor_xy**2, CFG.floor_turn**2])
+    lines = believed(matcher.front_end.information(seen(true), match.measured), CLOSURE_TRUST, CLOSURE_BLUR)
+    floor = np.diag(CLOSURE_FLOOR**2)
     np.testing.assert_allclose(np.linalg.inv(match.information), np.linalg.inv(lines) + floor, rtol=1e-4, atol=1e-9)
     sd = np.sqrt(np.diag(np.linalg.inv(match.information)))
-    assert (sd[:2] > CFG.floor_xy).all()
+    assert (sd[:2] > CLOSURE_FLOOR[0]).all()
     assert (sd[:2] < 0.05).all()
 
 

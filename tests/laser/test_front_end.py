@@ -8,7 +8,14 @@ import pytest
 from mapweave.core import se2
 from mapweave.kernels.laser.local_map import count_matches
 from mapweave.laser.beam import BeamConfig, beams
-from mapweave.laser.closures import ClosureConfig, Place, PlaceMatcher
+from mapweave.laser.closures import (
+    CLOSURE_SEARCH_REACH,
+    CLOSURE_SEARCH_SD,
+    CLOSURE_SEARCH_STEPS,
+    ClosureConfig,
+    Place,
+    PlaceMatcher,
+)
 from mapweave.laser.scan_matching import FRONT_END_COARSE, KEYFRAME_DISTANCE, FrontEnd, FrontEndConfig
 
 from .test_scan_matching import box_scan
@@ -98,11 +105,11 @@ def test_a_search_begins_where_most_returns_match_of_all_starts_within_reach(sd)
     def fits(pose):
         s, normal, q = (np.ascontiguousarray(a[thin]) for a in (b.s, b.normal, b.q))
         return count_matches(
-            matcher.front_end.coarse, FRONT_END_COARSE, s, normal, q, 0.0, CFG.agree, pose, cfg.search_reach
+            matcher.front_end.coarse, FRONT_END_COARSE, s, normal, q, 0.0, CFG.agree, pose, CLOSURE_SEARCH_REACH
         )
 
-    reach = np.minimum(cfg.search_sd * sd, [0.9, 0.9, 0.1])
-    steps = np.array([cfg.search_step, cfg.search_step, cfg.search_turn_step])
+    reach = np.minimum(CLOSURE_SEARCH_SD * sd, [0.9, 0.9, 0.1])
+    steps = np.array(CLOSURE_SEARCH_STEPS)
     axes = [h * np.arange(-20, 21) for h in steps]
     axes = [axis[np.abs(axis) <= r + 1e-12] for axis, r in zip(axes, reach, strict=True)]
     starts = [se2.compose(predicted, np.array([x, y, a])) for x in axes[0] for y in axes[1] for a in axes[2]]

@@ -14,6 +14,16 @@ from .beam import Beams
 from .keyframes import believed
 from .scan_matching import BARE_TANGENT, FRONT_END_COARSE, FrontEnd, FrontEndConfig
 
+CLOSURE_LEAST_INFORMATION = 1.0  # [1/m^2] across the second weakest direction: less, and the place looks alike
+CLOSURE_MATCH_SD = 3.0  # [sd] by which the match may move the scan,
+CLOSURE_MATCH_LEAST = np.array([0.3, 0.3, 0.1])  # [m, m, rad] at least
+CLOSURE_SEARCH_SD = 2.5  # [sd] how far the grid of starts reaches
+CLOSURE_SEARCH_STEPS = (0.3, 0.3, 0.04)  # [m, m, rad] between them
+CLOSURE_SEARCH_REACH = 0.15  # [m] a return this near its line counts in the search
+CLOSURE_TRUST = 1.0  # [-] what a match's information counts
+CLOSURE_BLUR = 0.02  # [-] as for steps
+CLOSURE_FLOOR = np.array([0.008, 0.008, 0.002])  # [m, m, rad] error of the old local map, which no match tells
+
 
 @config
 class ClosureConfig:
@@ -27,23 +37,11 @@ class ClosureConfig:
     within: float = 4.0  # [m] from it
     least_share: float = 0.5  # share of the returns that must match
     least_matches: int = 60  # returns that must match
-    least_information: float = 1.0  # [1/m^2] across the second weakest direction: less, and the place looks alike
     gate: float = 16.27  # chi-square of the innovation, 3 degrees of freedom, 99.9 %
     search: float = 0.25  # [m] uncertainty of the relative place beyond which a grid of starts is searched
-    match_sd: float = 3.0  # [sd] by which the match may move the scan,
-    match_xy: float = 0.3  # [m] and
-    match_turn: float = 0.1  # [rad] at least
-    search_sd: float = 2.5  # [sd] how far the grid reaches,
-    search_xy: float = 3.0  # [m] at most and
+    search_xy: float = 3.0  # [m] that the grid of starts reaches at most, and
     search_turn: float = 0.3  # [rad] to either side
-    search_step: float = 0.3  # [m] between its starts and
-    search_turn_step: float = 0.04  # [rad] between its headings
-    search_reach: float = 0.15  # [m] a return this near its line counts in the search
     search_beams: int = 90  # returns of the scan that take part in the search, about
-    trust: float = 1.0  # [-] what a match's information counts
-    blur: float = 0.02  # [-] as for steps
-    floor_xy: float = 0.008  # [m] error of the old local map, which no match tells, and
-    floor_turn: float = 0.002  # [rad] of its heading
     kernel: float = 3.0  # [sd] width of the robust kernel
     contradiction: float = 16.27  # squared residual [sd^2] after optimising beyond which a closure is dropped
 
@@ -107,18 +105,18 @@ class PlaceMatcher:
         fe.hold(place.scans)
         sd = np.sqrt(np.diag(cov))
         start = predicted if max(sd[0], sd[1]) < c.search else self._search(b, predicted, sd)
-        match = fe.match(b, start, np.maximum(c.match_sd * sd, [c.match_xy, c.match_xy, c.match_turn]))
+        match = fe.match(b, start, np.maximum(CLOSURE_MATCH_SD * sd, CLOSURE_MATCH_LEAST))
         innovation = se2.between(predicted, match.pose)
         share = match.matches / max(match.beams, 1)
         refused = Matched(False, "", match.pose, np.zeros((3, 3)), innovation, share, None)
         if match.matches < c.least_matches or share < c.least_share:
             return refused._replace(reason=f"too few returns match: {match.matches} of {match.beams}")
-        lines = believed(fe.information(b, match.pose), c.trust, c.blur)
+        lines = believed(fe.information(b, match.pose), CLOSURE_TRUST, CLOSURE_BLUR)
         values, vectors = np.linalg.eigh(lines)
-        if values[1] < c.least_information:
+        if values[1] < CLOSURE_LEAST_INFORMATION:
             return refused._replace(reason="the place looks alike in too many directions")
         R = symmetrise(vectors @ np.diag(1.0 / np.maximum(values, 1e-2)) @ vectors.T)
-        R = R + np.diag([c.floor_xy**2, c.floor_xy**2, c.floor_turn**2])
+        R = R + np.diag(CLOSURE_FLOOR**2)
         nis = mahalanobis2(innovation, cov + R)
         if nis > c.gate:
             return refused._replace(
@@ -141,16 +139,16 @@ class PlaceMatcher:
         c, fe = self.cfg, self.front_end
         thin = slice(None, None, max(1, len(b.q) // c.search_beams))
         s, normal, q = (np.ascontiguousarray(a[thin]) for a in (b.s, b.normal, b.q))
-        reach = np.minimum(c.search_sd * sd, [c.search_xy, c.search_xy, c.search_turn])
-        steps = (c.search_step, c.search_step, c.search_turn_step)
-        axes = [np.arange(-np.floor(r / h), np.floor(r / h) + 1) * h for r, h in zip(reach, steps, strict=True)]
+        reach = np.minimum(CLOSURE_SEARCH_SD * sd, [c.search_xy, c.search_xy, c.search_turn])
+        each = zip(reach, CLOSURE_SEARCH_STEPS, strict=True)
+        axes = [np.arange(-np.floor(r / h), np.floor(r / h) + 1) * h for r, h in each]
         best, most = predicted, -1
         for dx in axes[0]:
             for dy in axes[1]:
                 for turn in axes[2]:
                     pose = se2.compose(predicted, np.array([dx, dy, turn]))
                     n = count_matches(
-                        fe.coarse, FRONT_END_COARSE, s, normal, q, 0.0, fe.cfg.agree, pose, c.search_reach
+                        fe.coarse, FRONT_END_COARSE, s, normal, q, 0.0, fe.cfg.agree, pose, CLOSURE_SEARCH_REACH
                     )
                     if n > most:
                         best, most = pose, n

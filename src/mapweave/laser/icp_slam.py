@@ -13,7 +13,7 @@ from .icp import match
 from .particle_grid import ParticleGrid
 from .particle_slam import as_points
 from .scan_matching import allowed_sd
-from .scan_odometry import NO_INNOVATION, ScanInfo, alone_sd, inside
+from .scan_odometry import ALONE_SD, NO_INNOVATION, ScanInfo, inside
 
 ONE = np.zeros(1, np.int64)
 
@@ -75,7 +75,7 @@ def step(
 
 def _increment(state: IcpState, scan: Scan, cfg: LaserTrackingConfig) -> tuple[np.ndarray, np.ndarray]:
     if scan.odometry is None:
-        return state.motion, alone_sd(cfg.front_end)
+        return state.motion, ALONE_SD
     u = np.zeros(3) if state.odometry is None else se2.between(state.odometry, scan.odometry)
     state.odometry = np.asarray(scan.odometry)
     return u, allowed_sd(u, cfg.front_end)

@@ -44,6 +44,7 @@ ALONE_STEADY = 0.1  # ln(1 + (change of the step / this [m])^2 + (change of the 
 ALONE_STEADY_TURN = 0.15  # [rad] change of the turn that weighs as much
 STILL_XY = 0.1  # [m] a robot must leave its place, or
 STILL_TURN = 0.1  # [rad] turn, while its wheels report no motion, before they are not believed
+ALONE_TURN = 0.35  # [rad] that a robot without odometry may turn in a step, one sigma
 
 
 @config
@@ -62,9 +63,6 @@ class FrontEndConfig:
     sd_turn: float = 0.03  # [rad] + sd_turn_per_m d + sd_turn_per_rad |turn|
     sd_turn_per_m: float = 0.15  # [rad] and so much more a metre driven
     sd_turn_per_rad: float = 0.6  # and so much more a radian turned
-    alone_xy: float = 0.25  # [m] a robot without odometry may move in a step, one sigma, and
-    alone_turn: float = 0.35  # [rad] turn
-    gyro_turn: float = 0.02  # [rad] by which the turn of a gyroscope may err in a step, one sigma
 
 
 def allowed_sd(u: Float[np.ndarray, "3"], c: FrontEndConfig) -> Float[np.ndarray, "3"]:
@@ -131,10 +129,9 @@ class FrontEnd:
         the one is taken that most returns match, less what its change of motion costs: more returns match where the
         walls are known already, so that a scan along a bare wall would rather have the robot stand.
         """
-        c = self.cfg
         n = len(b.q)
         on = np.asarray(se2.compose(last, step))
-        known = bool(sd[2] < c.alone_turn)
+        known = bool(sd[2] < ALONE_TURN)
         last = np.array([*last[:2], on[2]]) if known else last
         far = min(3.0 * float(sd[2]) if known else ALONE_SEARCH, np.pi)
         turns = np.arange(-far, far + 1e-9, WIDE_STEP)

@@ -16,6 +16,7 @@ from ..core.records import Scan
 from ..core.rows import RowBuffer
 from .beam import STEERING, Beams
 from .scan_matching import (
+    ALONE_TURN,
     BARE_TANGENT,
     FRONT_END_SIGMA,
     GYRO_SCALE,
@@ -28,6 +29,9 @@ from .scan_matching import (
     allowed_sd,
 )
 from .wheel_worth import WheelWorth
+
+ALONE_SD = np.array([0.25, 0.25, ALONE_TURN])  # [m, m, rad] of a step of a robot without odometry
+GYRO_TURN = 0.02  # [rad] by which the turn of a gyroscope may err in a step, one sigma
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,11 +106,6 @@ def inside(innovation: Float[np.ndarray, "3"], eps: Float[np.ndarray, "3"]) -> b
     return bool(allowed.all())
 
 
-def alone_sd(cfg: FrontEndConfig) -> Float[np.ndarray, "3"]:
-    """Standard deviations [m, m, rad] of a step of a robot without odometry."""
-    return np.array([cfg.alone_xy, cfg.alone_xy, cfg.alone_turn])
-
-
 class ScanOdometry:
     """A trajectory through all scans that drifts but never jumps. It belongs to one state, which `advance` changes.
 
@@ -151,14 +150,13 @@ class ScanOdometry:
     def increment(self, odometry: Float[np.ndarray, "3"] | None, heading: float | None = None) -> Increment:
         """What odometry says of the motion since the last scan; wheels that stand while the robot drives say none."""
         if odometry is None or (self._wheels_stand(odometry) and self._left_its_place()):
-            sd = alone_sd(self.cfg)
             if heading is None or self.heading is None:
-                return Increment(self.step, sd, alone=True)
+                return Increment(self.step, ALONE_SD, alone=True)
             turn = heading - self.heading
             way = se2.rotation(0.5 * (turn - float(self.step[2]))) @ self.step[:2]
             return Increment(
                 np.array([*way, turn]),
-                np.array([*sd[:2], self.cfg.gyro_turn + GYRO_SCALE * abs(turn)]),
+                np.array([*ALONE_SD[:2], GYRO_TURN + GYRO_SCALE * abs(turn)]),
                 alone=True,
             )
         u = np.zeros(3) if self.odometry is None else se2.between(self.odometry, odometry)

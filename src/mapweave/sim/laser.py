@@ -17,10 +17,18 @@ from ..core.se2 import representable_heading
 from ..core.walls import Walls
 from ..kernels.walls.raycast import cast
 
+SHINE = 30.0  # exponent of the cosine for light from surfaces hit squarely
+BEAMS_ALIKE = 6.0  # [degrees] of neighbouring beams whose own gain is alike
+MOTTLE_LENGTH = 0.5  # [m] of a piece of paint
+DOOR_SHARE = 0.4  # of the objects on a wall; the others are posters
+DOOR_WIDTH = 0.9  # [m]
+POSTER_WIDTH = (0.3, 1.2)  # [m] from, to
+POSTER_DARK, POSTER_BRIGHT = (0.05, 0.3), (0.75, 0.95)  # reflectance from, to, of one half each
+
 
 @config
 class Reflectance:
-    """Light that returns: `gain (rho c^exponent + specular c^shine) / (1 + (r / falloff)^2)`, c = cos(incidence).
+    """Light that returns: `gain (rho c^exponent + specular c^SHINE) / (1 + (r / falloff)^2)`, c = cos(incidence).
 
     Of a law that was fitted to a real scanner: what white paint hit squarely returns from each of `ranges`, between
     them by their logarithms and outside as at the ends, in place of `gain` and `falloff`.
@@ -30,13 +38,11 @@ class Reflectance:
     falloff: float = 1.5  # [m] at which the light has halved
     exponent: float = 1.0  # of the cosine of incidence
     specular: float = 0.0  # share of light from surfaces hit squarely
-    shine: float = 30.0  # exponent of the cosine for that share
     relative_noise: float = 0.03  # standard deviation, as a share of the intensity
     noise: float = 50.0  # standard deviation of the intensity, at least
     ranges: tuple[float, ...] = ()  # [m] at which a fitted law is held,
     light: tuple[float, ...] = ()  # and what returns from these, as the scanner counts
-    beams: float = 0.0  # [log units] sd of the gain that each beam has of its own, which
-    beams_alike: float = 6.0  # [degrees] neighbours share
+    beams: float = 0.0  # [log units] sd of the gain that each beam has of its own, which those beside it share
     least: float = 0.0  # weaker light is no return
     most: float = 1e9  # stronger light counts as this
 
@@ -119,9 +125,9 @@ def measure(
     r = np.where(seen, true_range, scanner.far)
     sigma = np.maximum(scanner.noise, scanner.relative_noise * r)
     said = np.round((r + sigma * noise[0]) / scanner.step) * scanner.step
-    light = law.from_white(r) * (reflectance * cosine**law.exponent + law.specular * cosine**law.shine)
+    light = law.from_white(r) * (reflectance * cosine**law.exponent + law.specular * cosine**SHINE)
     if law.beams > 0.0:
-        light = light * np.exp(law.beams * _alike(shape[1], law.beams_alike / np.degrees(scanner.angle_increment), rng))
+        light = light * np.exp(law.beams * _alike(shape[1], BEAMS_ALIKE / np.degrees(scanner.angle_increment), rng))
     light = np.maximum(0.0, light * (1.0 + law.relative_noise * noise[1]) + law.noise * noise[2])
     said = said.astype(np.float32).astype(float)
     seen &= (said > scanner.near) & (said < scanner.range_max) & (light >= law.least)
@@ -154,13 +160,7 @@ class WallStyle:
     gap: tuple[float, float] = (0.8, 3.5)  # [m] of paint between objects
     paint: float = 0.6
     mottle: float = 0.03  # relative spread of the paint from piece to piece
-    mottle_length: float = 0.5  # [m]
-    door_share: float = 0.4
-    door_width: float = 0.9  # [m]
     door: tuple[float, float] = (0.2, 0.45)
-    poster_width: tuple[float, float] = (0.3, 1.2)  # [m]
-    poster_dark: tuple[float, float] = (0.05, 0.3)
-    poster_bright: tuple[float, float] = (0.75, 0.95)
 
 
 class WorldBuilder:
@@ -209,11 +209,11 @@ class WorldBuilder:
         at = 0.0
         while True:
             start = at + rng.uniform(*style.gap)
-            if rng.random() < style.door_share:
-                end, light, depth = start + style.door_width, rng.uniform(*style.door), recess
+            if rng.random() < DOOR_SHARE:
+                end, light, depth = start + DOOR_WIDTH, rng.uniform(*style.door), recess
             else:
-                end = start + rng.uniform(*style.poster_width)
-                light = rng.uniform(*(style.poster_dark if rng.random() < 0.5 else style.poster_bright))
+                end = start + rng.uniform(*POSTER_WIDTH)
+                light = rng.uniform(*(POSTER_DARK if rng.random() < 0.5 else POSTER_BRIGHT))
                 depth = 0.0
             if end > length - 0.2:
                 return out + self._paint(at, length)
@@ -224,7 +224,7 @@ class WorldBuilder:
         style = self.style
         if end - start < 1e-9:
             return []
-        cuts = np.linspace(start, end, max(1, round((end - start) / style.mottle_length)) + 1)
+        cuts = np.linspace(start, end, max(1, round((end - start) / MOTTLE_LENGTH)) + 1)
         light = style.paint * (1.0 + style.mottle * self.rng.standard_normal(len(cuts) - 1))
         return [(float(p), float(q), float(v), 0.0) for p, q, v in zip(cuts, cuts[1:], light, strict=False)]
 

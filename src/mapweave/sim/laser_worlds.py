@@ -38,6 +38,9 @@ THROUGH_SHARE = 0.15  # of neighbouring rooms have a door between them
 POCKET_AREA = 2000.0  # [m^2] of floor a pocket, on average
 FLOOR_SLIT = 0.25  # a pocket's door, when it has one: too narrow for a robot, wide enough for a beam
 FLOOR_APART = 1.5  # between the robots' starts, along a corridor
+CONCRETE = 0.35  # reflectance of a tunnel's walls
+MARK_GAP, MARK_WIDTH = (1.0, 4.0), (0.1, 0.4)  # [m] between marks on one side, and of one, from, to
+MARK = (0.85, 1.0)  # reflectance of a mark, from, to
 
 
 @config
@@ -82,31 +85,27 @@ class TunnelConfig:
 
     length: float = 80.0  # [m] from end to end
     width: float = 3.0  # [m] from wall to wall
-    concrete: float = 0.35  # reflectance of the walls
-    mark_gap: tuple[float, float] = (1.0, 4.0)  # [m] between marks on one side
-    mark_width: tuple[float, float] = (0.1, 0.4)  # [m]
-    mark: tuple[float, float] = (0.85, 1.0)  # reflectance of a mark, from to
     drive: DriveConfig = field(default_factory=lambda: DriveConfig(drift=DriftConfig(end_error=(3.0, 6.0))))
 
 
 def tunnel_world(cfg: TunnelConfig, seed: int) -> LaserWorld:
     """The walls along x from -2 m on, the ends closed but out of sight for most of the way."""
     rng = stream(seed, "walls")
-    build = WorldBuilder("tunnel", WallStyle(paint=cfg.concrete, mottle=0.02), rng)
+    build = WorldBuilder("tunnel", WallStyle(paint=CONCRETE, mottle=0.02), rng)
     half, x0, x1 = 0.5 * cfg.width, -2.0, cfg.length - 2.0
-    build.marked((x0, -half), (x1, -half), _marks(cfg, rng))
+    build.marked((x0, -half), (x1, -half), _marks(cfg.length, rng))
     build.plain((x1, -half), (x1, half))
-    build.marked((x1, half), (x0, half), _marks(cfg, rng))
+    build.marked((x1, half), (x0, half), _marks(cfg.length, rng))
     build.plain((x0, half), (x0, -half))
     return build.world()
 
 
-def _marks(cfg: TunnelConfig, rng: np.random.Generator) -> list[Stretch]:
+def _marks(length: float, rng: np.random.Generator) -> list[Stretch]:
     out: list[Stretch] = []
-    at = float(rng.uniform(*cfg.mark_gap))
-    while (end := at + float(rng.uniform(*cfg.mark_width))) < cfg.length:
-        out.append((at, end, float(rng.uniform(*cfg.mark)), 0.0))
-        at = end + float(rng.uniform(*cfg.mark_gap))
+    at = float(rng.uniform(*MARK_GAP))
+    while (end := at + float(rng.uniform(*MARK_WIDTH))) < length:
+        out.append((at, end, float(rng.uniform(*MARK)), 0.0))
+        at = end + float(rng.uniform(*MARK_GAP))
     return out
 
 

@@ -13,6 +13,7 @@ from ..core.errors import UsageError, expect_at_most
 
 SPACING = 10.0  # [m] between neighbours of the grid
 JITTER = 3.0  # [m] either way, on every axis
+BLOCKER_RADIUS = 1.5  # [m] of an object that moves about and blocks the view
 MOST_ROBOTS, MOST_SIGHTINGS = 1_000_000, 20_000_000
 Layout = Literal["grid", "random", "clusters"]
 
@@ -32,7 +33,6 @@ class SwarmScene:
     visibility: Literal["directed", "mutual", "single"] = "directed"
     axis: bool = True  # whether there is a common one; without it every robot has a heading of its own
     blockers: int = 0  # objects that move about and block the view
-    blocker_radius: float = 1.5
     steps: int = 1  # more than one: robots move, and every sighting has its stamp; those at the corners stand still
     interval: float = 1.0  # [s] between steps
     speed: float = 0.5  # [m/s] of each axis at the start
@@ -239,7 +239,7 @@ def _blocked(
     for way in blockers:
         p = way[when]
         s = np.clip(np.sum((p - a) * d, axis=1) / length2, 0.0, 1.0)
-        hidden |= np.linalg.norm(a + s[:, None] * d - p, axis=1) < scene.blocker_radius
+        hidden |= np.linalg.norm(a + s[:, None] * d - p, axis=1) < BLOCKER_RADIUS
     return np.asarray(hidden)
 
 

@@ -46,7 +46,6 @@ class SwarmConfig:
     covariance: bool = True  # whether covariances are computed
     max_iterations: int = 50  # of Levenberg-Marquardt or the iterated filter
     prior_sigma: float = 10.0  # [m] of the filters' first estimate, each coordinate: the paper's P0 = 100 I
-    inlier_gate: float = 3.5  # standard deviations a sighting may miss by and count as an inlier (robust)
     max_rounds: int = 20000  # of talking (distributed)
     alternatives: AlternativesConfig = AlternativesConfig()
     verdict: VerdictConfig = VerdictConfig()

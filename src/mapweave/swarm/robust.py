@@ -41,6 +41,7 @@ FALLEN_SWAPS = 2  # sightings let go at most for one that is taken in
 FALLEN_UNDECIDED = 0.5  # of the limit: a loss up to which a sighting called wrong may as well be right
 FALLEN_AGAINST = 6.0  # standard deviations of their difference beyond which two of a pair are not both right
 FALLEN_LIKELY = 0.015  # probability of being wrong from which on a sighting may as well be
+ROBUST_INLIER_GATE = 3.5  # standard deviations a sighting may miss by and count as an inlier
 
 
 def relocated(net: BearingNetwork, position: Float[np.ndarray, "n d"], limit: float) -> Float[np.ndarray, "n d"]:
@@ -363,8 +364,8 @@ def robust(net: BearingNetwork, cfg: SwarmConfig, initial: np.ndarray | None = N
     start = replace(start, position=unsquared_start(kept, start) if initial is None else start.position)
     x = graduated(kept, start, cfg)
     if net.axis:
-        x = relocated(kept, x.reshape(len(net), net.dim), outlier_limit(net, cfg.inlier_gate)).ravel()
-    inlier = agreeing(net, x, cfg.inlier_gate) & ~without_heading(net, used)
+        x = relocated(kept, x.reshape(len(net), net.dim), outlier_limit(net, ROBUST_INLIER_GATE)).ravel()
+    inlier = agreeing(net, x, ROBUST_INLIER_GATE) & ~without_heading(net, used)
     if not inlier.any():
         return _nothing_agrees(net, cfg, initial)
     doubts: list[str] = []
@@ -372,7 +373,7 @@ def robust(net: BearingNetwork, cfg: SwarmConfig, initial: np.ndarray | None = N
         estimate, inlier, start = _selected(net, x, start, used, inlier, cfg)
         if not net.axis or not cfg.covariance:
             break
-        fallen = fallen_together(net, inlier, estimate, outlier_limit(net, cfg.inlier_gate), cfg)
+        fallen = fallen_together(net, inlier, estimate, outlier_limit(net, ROBUST_INLIER_GATE), cfg)
         if not len(fallen.wrong) or round_ == ROBUST_RESELECTIONS - 1:
             doubts = fallen_warnings(net, np.concatenate([fallen.wrong, fallen.undecided]))
             break
@@ -380,7 +381,7 @@ def robust(net: BearingNetwork, cfg: SwarmConfig, initial: np.ndarray | None = N
         chosen = net.select(inlier)
         start = prepare_at(chosen, estimate.position.ravel(), start)
         x = refine(chosen, start, cfg, everyone=True)[0].x
-        inlier = agreeing(net, x, cfg.inlier_gate)
+        inlier = agreeing(net, x, ROBUST_INLIER_GATE)
     outside = alternatives(net, inlier, estimate, cfg.alternatives)
     doubts += doubtful_warnings(net, outside, ALTERNATIVES_DOUBT)
     doubts += [*trust_warnings(net, ~inlier, cfg.verdict), *support_warnings(net, unsupported(net, ~inlier))]
@@ -396,7 +397,7 @@ def _selected(
         start = prepare_at(chosen, x, start)
         solution, problem, pattern = refine(chosen, start, cfg, everyone=True)
         x = solution.x
-        again = agreeing(net, x, cfg.inlier_gate) & ~without_heading(net, used)
+        again = agreeing(net, x, ROBUST_INLIER_GATE) & ~without_heading(net, used)
         if (again == inlier).all() or not again.any():
             break
         inlier = again
@@ -461,14 +462,14 @@ def graduated(net: BearingNetwork, start: SwarmStart, cfg: SwarmConfig) -> Float
     """
     state = _state(start)
     largest = float(np.sqrt(bearing_factor(net).squares(state).max()))
-    width, pattern = max(largest, cfg.inlier_gate), None
+    width, pattern = max(largest, ROBUST_INLIER_GATE), None
     stage = replace(cfg, max_iterations=STAGE_ITERATIONS)
     while True:
         solution, _, pattern = refine(net, start, stage, GemanMcClure(width), pattern, everyone=True)
         start = _moved(net, start, solution.x)
-        if width <= cfg.inlier_gate:
+        if width <= ROBUST_INLIER_GATE:
             return solution.x
-        width = max(width / ROBUST_COOLING, cfg.inlier_gate)
+        width = max(width / ROBUST_COOLING, ROBUST_INLIER_GATE)
 
 
 def agreeing(net: BearingNetwork, x: Float[np.ndarray, " s"], gate: float) -> Bool[np.ndarray, " m"]:
