@@ -8,6 +8,7 @@ One that became a constant is named in `fixed_keys.toml`, and a file that has it
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
+from functools import cache
 from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar, dataclass_transform
@@ -128,14 +129,24 @@ def _problem(cls: type, place: str, kind: str, message: str) -> str:
     return f"{place}: is now {new}" if new else f"{place}: {_WORDS.get(kind, message)}"
 
 
+def fixed_keys(cls: type) -> set[str]:
+    """The keys of a configuration class that are constants now: those of `fixed_keys.toml`."""
+    fixed = _fixed_keys()
+    return {key for c in cls.__mro__ for key in fixed.get(c.__name__, ())}
+
+
+@cache
+def _fixed_keys() -> dict[str, list[str]]:
+    return tomllib.loads(Path(__file__).with_name("fixed_keys.toml").read_text(encoding="utf-8"))
+
+
 def _is_fixed(cls: type, place: str) -> bool:
-    """Whether the key at `place` of a configuration is one of `fixed_keys.toml`: once a setting, now a constant."""
+    """Whether the key at `place` of a configuration was once a setting and is a constant now."""
     *tables, key = place.split(".")
     inner: Any = cls()
     for name in tables:
         inner = getattr(inner, name, None)
-    fixed = tomllib.loads(Path(__file__).with_name("fixed_keys.toml").read_text(encoding="utf-8"))
-    return any(key in fixed.get(c.__name__, ()) for c in type(inner).__mro__)
+    return key in fixed_keys(type(inner))
 
 
 def _place(loc: tuple[int | str, ...]) -> str:

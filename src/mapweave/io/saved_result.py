@@ -2,7 +2,8 @@
 
 `result.npz` holds a tree as JSON and, one array a type, the numbers that its leaves point into. An object in the tree
 is a dataclass or named tuple of this package, told by its name with its fields: nothing else is ever made of what a
-file says. What a run took is left out, so that equal runs write equal bytes.
+file says. What a run took is left out, so that equal runs write equal bytes. A setting that
+became a constant since is passed over.
 """
 
 import hashlib
@@ -18,6 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csc_array, csc_matrix
 
+from ..core.config import fixed_keys
 from ..core.errors import ReaderError
 from ..core.version import __version__
 from .npz import read_arrays, write_arrays
@@ -34,6 +36,7 @@ FREE = (
 )  # files that change with a score, or are there to edit
 SPARSE = {"csc_matrix": csc_matrix, "csc_array": csc_array}
 AGAIN = "make the result again"
+Made = tuple[Any, list[str]] | ReaderError  # what an object of a file is made of
 
 
 def write_result(folder: Path, result: object) -> None:
@@ -150,7 +153,8 @@ def _names(kind: type) -> list[str]:
     return [f.name for f in fields(kind)] if is_dataclass(kind) else list(getattr(kind, "_fields", ()))
 
 
-def _class(name: str, names: list[str], path: Path, version: str) -> type:
+def _class(name: str, names: list[str], path: Path, version: str) -> Made:
+    """The class with the fields that a file gives it; of a class that is no more the error for who would make one."""
     module, _, inner = name.partition(":")
     other = ReaderError(path, f"mapweave {version} wrote it, whose {inner} is not this one's: {AGAIN}")
     if module.partition(".")[0] != __name__.partition(".")[0]:
@@ -160,14 +164,14 @@ def _class(name: str, names: list[str], path: Path, version: str) -> type:
         for part in inner.split("."):
             kind = getattr(kind, part)
     except (ImportError, AttributeError):
-        raise other from None
+        return other
     known = isinstance(kind, type) and (_is_object(kind) or issubclass(kind, Enum))
-    if not isinstance(kind, type) or not known or _names(kind) != names:
+    if not isinstance(kind, type) or not known or [n for n in names if n not in fixed_keys(kind)] != _names(kind):
         raise other
-    return kind
+    return kind, names
 
 
-def _made(node: Any, classes: list[type], arrays: Mapping[str, np.ndarray]) -> Any:  # noqa: PLR0911
+def _made(node: Any, classes: list[Made], arrays: Mapping[str, np.ndarray]) -> Any:  # noqa: PLR0911
     if isinstance(node, list):
         return tuple(_each(node, classes, arrays))
     if not isinstance(node, dict):
@@ -180,11 +184,11 @@ def _made(node: Any, classes: list[type], arrays: Mapping[str, np.ndarray]) -> A
     if what == "float":
         return float(held)
     if what == "is":
-        kind = classes[held[0]]
-        values = _each(held[1:], classes, arrays)
-        return kind(**dict(zip(_names(kind), values, strict=True)))
+        kind, names = _known(classes[held[0]])
+        values = dict(zip(names, held[1:], strict=True))
+        return kind(**{name: _made(values[name], classes, arrays) for name in _names(kind)})
     if what == "enum":
-        return classes[held[0]][held[1]]
+        return _known(classes[held[0]])[0][held[1]]
     if what == "path":
         return Path(held)
     if what in SPARSE:
@@ -194,5 +198,11 @@ def _made(node: Any, classes: list[type], arrays: Mapping[str, np.ndarray]) -> A
     return made(_each(held, classes, arrays))
 
 
-def _each(nodes: list[Any], classes: list[type], arrays: Mapping[str, np.ndarray]) -> Iterator[Any]:
+def _known(made: Made) -> tuple[Any, list[str]]:
+    if isinstance(made, ReaderError):
+        raise made
+    return made
+
+
+def _each(nodes: list[Any], classes: list[Made], arrays: Mapping[str, np.ndarray]) -> Iterator[Any]:
     return (_made(one, classes, arrays) for one in nodes)
