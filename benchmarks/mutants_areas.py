@@ -563,7 +563,7 @@ ONCE_LET_PASS: tuple[Named, ...] = (
         "if cfg.damping == 0 or new < 1.01 * cost or (small and new <= cost * (1 + ROUNDING)):",
         ("tests/solve/test_minimise.py",),
     ),
-    Named("laser:Closure", "if nis > c.gate:", "if nis > 100 * c.gate:", CLOSURES),
+    Named("laser:Closure", "if nis > CLOSURE_GATE:", "if nis > 100 * CLOSURE_GATE:", CLOSURES),
     Named("laser:Closure", "if values[1] < CLOSURE_LEAST_INFORMATION:", "if False:", CLOSURES),
     Named(
         "mapping:KeyframeGraph",

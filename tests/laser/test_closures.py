@@ -11,6 +11,7 @@ from mapweave.laser.beam import BeamConfig, beams
 from mapweave.laser.closures import (
     CLOSURE_BLUR,
     CLOSURE_FLOOR,
+    CLOSURE_GATE,
     CLOSURE_TRUST,
     ClosureConfig,
     Matched,
@@ -73,7 +74,7 @@ def test_a_match_far_from_a_sure_estimate_is_refused(place):
     true = np.array([0.3, 0.2, 0.1])
     match = PlaceMatcher(CFG, ALL_ROUND).match(place, seen(true), np.add(true, [0.15, 0.15, 0.0]), narrow())
     assert np.abs(se2.between(true, match.measured)).max() < 0.03  # the match itself is right
-    assert 3 * CFG.gate < match.nis < 50 * CFG.gate
+    assert 3 * CLOSURE_GATE < match.nis < 50 * CLOSURE_GATE
     assert not match.accepted
     assert "standard deviations" in match.reason
 

@@ -9,6 +9,8 @@ from mapweave.core.records import frozen
 from mapweave.kernels.laser.place_refine import fit_normals, lay_onto_lines
 from mapweave.laser.place_search import (
     FULL,
+    PLACE_APART,
+    PLACE_APART_TURN,
     Q_LEVELS,
     PlaceConfig,
     Window,
@@ -83,8 +85,8 @@ def test_the_search_finds_what_trying_every_pose_finds(block):
         assert found.best is not None
         assert found.best.score == score[a, y, x] / most
         assert np.array_equal(found.best.pose, want)
-        near_turn = np.abs(se2.wrap_angle(turns - turns[a])) <= cfg.apart_turn
-        near = (ox - ox[x]) ** 2 + (oy[:, None] - oy[y]) ** 2 <= int((cfg.apart / cfg.cell) ** 2 + 1e-9)
+        near_turn = np.abs(se2.wrap_angle(turns - turns[a])) <= PLACE_APART_TURN
+        near = (ox - ox[x]) ** 2 + (oy[:, None] - oy[y]) ** 2 <= int((PLACE_APART / cfg.cell) ** 2 + 1e-9)
         allowed = ~(near_turn[:, None, None] & near) & (score > 0)
         if not allowed.any():
             assert found.second is None

@@ -15,6 +15,8 @@ from .keyframes import believed
 from .scan_matching import BARE_TANGENT, FRONT_END_COARSE, FrontEnd, FrontEndConfig
 
 CLOSURE_LEAST_INFORMATION = 1.0  # [1/m^2] across the second weakest direction: less, and the place looks alike
+CLOSURE_GATE = 16.27  # chi-square of the innovation, 3 degrees of freedom, 99.9 %
+CLOSURE_SEARCH = 0.25  # [m] uncertainty of the relative place beyond which a grid of starts is searched
 CLOSURE_MATCH_SD = 3.0  # [sd] by which the match may move the scan,
 CLOSURE_MATCH_LEAST = np.array([0.3, 0.3, 0.1])  # [m, m, rad] at least
 CLOSURE_SEARCH_SD = 2.5  # [sd] how far the grid of starts reaches
@@ -37,8 +39,6 @@ class ClosureConfig:
     within: float = 4.0  # [m] from it
     least_share: float = 0.5  # share of the returns that must match
     least_matches: int = 60  # returns that must match
-    gate: float = 16.27  # chi-square of the innovation, 3 degrees of freedom, 99.9 %
-    search: float = 0.25  # [m] uncertainty of the relative place beyond which a grid of starts is searched
     search_xy: float = 3.0  # [m] that the grid of starts reaches at most, and
     search_turn: float = 0.3  # [rad] to either side
     search_beams: int = 90  # returns of the scan that take part in the search, about
@@ -104,7 +104,7 @@ class PlaceMatcher:
         c, fe = self.cfg, self.front_end
         fe.hold(place.scans)
         sd = np.sqrt(np.diag(cov))
-        start = predicted if max(sd[0], sd[1]) < c.search else self._search(b, predicted, sd)
+        start = predicted if max(sd[0], sd[1]) < CLOSURE_SEARCH else self._search(b, predicted, sd)
         match = fe.match(b, start, np.maximum(CLOSURE_MATCH_SD * sd, CLOSURE_MATCH_LEAST))
         innovation = se2.between(predicted, match.pose)
         share = match.matches / max(match.beams, 1)
@@ -118,7 +118,7 @@ class PlaceMatcher:
         R = symmetrise(vectors @ np.diag(1.0 / np.maximum(values, 1e-2)) @ vectors.T)
         R = R + np.diag(CLOSURE_FLOOR**2)
         nis = mahalanobis2(innovation, cov + R)
-        if nis > c.gate:
+        if nis > CLOSURE_GATE:
             return refused._replace(
                 nis=nis,
                 reason=f"it lies {np.hypot(*innovation[:2]):.2f} m and {np.degrees(innovation[2]):.1f} degrees from "

@@ -29,6 +29,11 @@ from ..kernels.laser.place_search import (
 
 Q_LEVELS = 200.0  # levels of brightness a unit of q
 LARGEST = 40_000_000  # cells of a field
+PLACE_APART = 0.7  # [m] from the best pose from which on another is of a second place, or
+PLACE_APART_TURN = 0.25  # [rad]
+PLACE_NOISE = 0.02  # [m] of a matched point, at least
+PLACE_TEMPER = 0.1  # of the points that count as independent
+PLACE_FLOOR = (0.02, 0.02, 0.00523598775598299)  # [m, m, rad], 0.3 degrees: sd that no match is better than
 
 
 @config
@@ -42,16 +47,10 @@ class PlaceConfig:
     q_weight: float = 0.2  # [m] a unit of q counts as much as
     turn: float = 0.02617993877991494  # [rad] step of the search, 1.5 degrees
     levels: int = 2  # the coarsest squares are 2^levels cells wide
-    apart: float = 0.7  # [m] from the best, or
-    apart_turn: float = 0.25  # [rad] from the best: a second place
     line_reach: float = 0.2  # [m] points this near make a wall's line
     gate: float = 0.3  # [m] a point farther from every wall is no match
     inlier: float = 0.1  # [m] and one this near is an inlier
     widths: tuple[float, ...] = (0.2, 0.2, 0.1, 0.1, 0.05)  # [m] of the refinement's robust cost
-    noise: float = 0.02  # [m] of a matched point, at least
-    temper: float = 0.1  # of the points count as independent
-    floor: float = 0.02  # [m] and
-    floor_turn: float = 0.00523598775598299  # [rad], 0.3 degrees: sd no match is better than
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,8 +211,8 @@ def search(
         most = score
         x, y = window.centre[0] + ox * cfg.cell, window.centre[1] + oy * cfg.cell
         hits.append(Hit(frozen([x, y, se2.wrap_angle(turns[a])]), score / asked.most))
-        near = np.abs(se2.wrap_angle(turns - turns[a])) <= cfg.apart_turn
-        barred = np.concatenate([[a, ox, oy, int((cfg.apart / cfg.cell) ** 2 + 1e-9)], near]).astype(np.int64)
+        near = np.abs(se2.wrap_angle(turns - turns[a])) <= PLACE_APART_TURN
+        barred = np.concatenate([[a, ox, oy, int((PLACE_APART / cfg.cell) ** 2 + 1e-9)], near]).astype(np.int64)
         lowest = max(lowest, int(np.ceil(least_ratio * score)))
     return PlacesFound(hits[0] if hits else None, hits[1] if len(hits) > 1 else None)
 
@@ -321,9 +320,9 @@ def refine(place: LikelihoodField, points: Float[np.ndarray, "n 2"], start: Floa
         1e-5,
     )
     pose[2] = se2.wrap_angle(pose[2])
-    information = cfg.temper * H / max(cfg.noise**2, mean2)
+    information = PLACE_TEMPER * H / max(PLACE_NOISE**2, mean2)
     P = np.linalg.inv(information + np.diag([1.0 / 3.0**2, 1.0 / 3.0**2, 1.0]))  # where no wall holds: 3 m, 1 rad
-    P = symmetrise(P) + np.diag([cfg.floor**2, cfg.floor**2, cfg.floor_turn**2])
+    P = symmetrise(P) + np.diag([sd**2 for sd in PLACE_FLOOR])
     position = information[:2, :2] - np.outer(information[:2, 2], information[2, :2]) / max(information[2, 2], 1e-12)
     values, vectors = np.linalg.eigh(symmetrise(position))
     weak = se2.rotation(float(pose[2])) @ vectors[:, 0]

@@ -18,6 +18,8 @@ from ...solve import Cauchy, Factor, Problem, Solution, SolveConfig, Term, minim
 from .. import bearing as model
 from .result import SCALE_V, TRACK_MERGE, TrackConfig
 
+SIDE_SLIP = 0.3  # sideways slip, of the slip along
+
 
 def velocity_factor(columns: Int[np.ndarray, "s c"], dt: Float[np.ndarray, " s"], q: float) -> Factor:
     """Motion at nearly constant velocity over `dt` [s].
@@ -202,7 +204,7 @@ def _noise(rows: Odometry, t: Float[np.ndarray, " K"], cfg: TrackConfig) -> Floa
     turn = np.concatenate([[0.0], np.cumsum((cfg.turn_floor + cfg.turn * np.abs(w)) ** 2 * dt)])
     k = np.searchsorted(at, t)
     a, b = np.sqrt(np.diff(along[k])), np.sqrt(np.diff(turn[k]))
-    return np.asarray(np.maximum(np.column_stack([a, cfg.side * a, b]), 1e-6))
+    return np.asarray(np.maximum(np.column_stack([a, SIDE_SLIP * a, b]), 1e-6))
 
 
 @dataclass(frozen=True, slots=True)

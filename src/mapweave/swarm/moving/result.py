@@ -34,7 +34,6 @@ class TrackConfig:
     speed: float = 3.0  # [m/s] prior of each axis of the first velocity, without odometry
     slip_floor: float = 0.01  # [m/sqrt(s)] noise of the distance driven, at rest too
     slip: float = 0.1  # [sqrt(s)] and so much of the speed more
-    side: float = 0.3  # sideways slip, of the slip along
     turn_floor: float = 0.01  # [rad/sqrt(s)] noise of the heading, at rest too
     turn: float = 0.1  # [sqrt(s)] and so much of the turn rate more
     scale_w: float = 0.0  # the same of its w
