@@ -11,9 +11,16 @@ from mapweave.core import se2
 from mapweave.core.errors import DataError
 from mapweave.io.g2o import read_g2o
 from mapweave.laser import robust_graph
-from mapweave.laser.left_out import left_out_squares
 from mapweave.laser.pose_graph import PoseGraph
-from mapweave.laser.robust_graph import FADED, Prior, RobustGraphConfig, connected, solve_graph, truncated_weights
+from mapweave.laser.robust_graph import (
+    FADED,
+    Prior,
+    RobustGraphConfig,
+    connected,
+    left_out_squares,
+    solve_graph,
+    truncated_weights,
+)
 
 SD = np.array([0.05, 0.05, 0.02])
 PLAIN = RobustGraphConfig(method="none")

@@ -18,8 +18,8 @@ from ..core.errors import DataError
 from ..core.gaussian import chi2_quantile
 from ..core.records import frozen
 from ..solve import Cauchy, Factor, Pattern, Problem, Solution, SolveConfig, SolveStatus, Term, minimise, wrapping
+from ..solve.information import BlockCholesky
 from ..solve.problem import Kernel
-from .left_out import left_out_squares, without_it
 from .pose_graph import PoseEdges, PoseGraph
 
 ROBUST_GRAPH_KERNEL = 2.0  # [sd] width of the Cauchy cost
@@ -30,6 +30,7 @@ ROBUST_GRAPH_ENOUGH = 30  # edges for the middle one to tell anything
 
 REVISIONS = 60  # solves at most, while edges that were dropped fit again or ones that are believed do not
 SAME = 1e-6  # relative difference of the costs of two minima that are the same
+HOLDS_ALONE = 1e-6  # share of an edge's covariance that is left over: less, and nothing else tells what it tells
 FADED = 1e-8  # what a dropped edge counts while weights are sought: the graph stays in one piece
 
 
@@ -253,6 +254,49 @@ def _left_out_priors(priors: Sequence[Prior], solution: Solution) -> Float[np.nd
     return without_it(
         se2.between(z, pose), se2.between_jacobians(z, pose)[1], P, np.array([p.information for p in priors])
     )
+
+
+def left_out_squares(graph: PoseGraph, solution: Solution, rows: Int[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+    """How far edges `rows`, which `solution` rests on, lie from the solution without each [squared sd].
+
+    What bends the solution to itself has a small residual and may be false all the same: the residual is weighed with
+    what is left of its covariance when that of the prediction is taken off. With residual r, covariance R and that of
+    what is predicted J P J^T it is `r^T (R - J P J^T)^-1 r`; 0 in directions that no other edge tells.
+    """
+    i, j = graph.first[rows], graph.second[rows]
+    block = np.full(len(graph), -1)
+    block[solution.free[::3] // 3] = np.arange(len(solution.free) // 3)
+    both = (block[i] >= 0) & (block[j] >= 0)
+    diagonal, tied = _factor(solution).pairs(block[i][both], block[j][both])
+    at_home = np.concatenate([diagonal, np.zeros((1, 3, 3))])  # a pose that is held: number -1
+    P = np.zeros((len(rows), 6, 6))
+    P[:, :3, :3], P[:, 3:, 3:] = at_home[block[i]], at_home[block[j]]
+    P[both, :3, 3:], P[both, 3:, :3] = tied, tied.swapaxes(1, 2)
+    A, B = se2.between_jacobians(graph.pose[i], graph.pose[j])
+    J = se2.turn(-graph.measured[rows, 2]) @ np.concatenate([A, B], axis=2)
+    r = se2.between(graph.measured[rows], se2.between(graph.pose[i], graph.pose[j]))
+    return without_it(r, J, P, graph.information[rows])
+
+
+def without_it(
+    r: Float[np.ndarray, "k 3"],
+    J: Float[np.ndarray, "k 3 d"],
+    P: Float[np.ndarray, "k d d"],
+    information: Float[np.ndarray, "k 3 3"],
+) -> Float[np.ndarray, " k"]:
+    """`r^T (R - J P J^T)^-1 r` [squared sd] with R the inverse of `information`; 0 in directions nothing else tells."""
+    W = np.linalg.cholesky(information).swapaxes(1, 2)
+    M = np.eye(3) - W @ (J @ P @ J.swapaxes(1, 2)) @ W.swapaxes(1, 2)
+    values, vectors = np.linalg.eigh(0.5 * (M + M.swapaxes(1, 2)))
+    along = (vectors.swapaxes(1, 2) @ (W @ r[..., None]))[..., 0]
+    left = values > HOLDS_ALONE
+    return np.asarray((np.square(along) * left / np.where(left, values, 1.0)).sum(axis=1))
+
+
+def _factor(solution: Solution) -> BlockCholesky:
+    assert solution.information is not None  # noqa: S101  (asked before)
+    factor: BlockCholesky = solution.information.factor
+    return factor
 
 
 def _fixed_squares(

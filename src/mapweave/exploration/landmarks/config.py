@@ -32,8 +32,6 @@ from ..world import (
 WALLS_COMFORT = 1.2  # [m] beyond the radius that robots keep where nothing draws them nearer
 FIELD_WALL_GAP = 0.3  # [m] that random landmarks keep from walls
 
-Limits = tuple[tuple[int, float], ...]  # (layouts, share of the error)
-
 
 @config
 class SteeringConfig:
