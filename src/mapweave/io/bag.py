@@ -22,29 +22,11 @@ from .salvage import DAMAGE, Salvage, check_chunks, salvage
 
 Stamped = tuple[str, int, Any]  # topic, recording time [ns], message
 STAMP = ("header.stamp.sec", "header.stamp.nanosec", "header.frame_id")
+ANGLES, RANGES = ("angle_min", "angle_max", "angle_increment"), ("range_min", "range_max")
+SCAN = attrgetter(*STAMP, *ANGLES, *RANGES, "scan_time", "ranges", "intensities")
 NEEDED = {
-    "sensor_msgs/msg/LaserScan": attrgetter(
-        *STAMP,
-        "angle_min",
-        "angle_max",
-        "angle_increment",
-        "range_min",
-        "range_max",
-        "scan_time",
-        "ranges",
-        "intensities",
-    ),
-    "sensor_msgs/msg/MultiEchoLaserScan": attrgetter(
-        *STAMP,
-        "angle_min",
-        "angle_max",
-        "angle_increment",
-        "range_min",
-        "range_max",
-        "scan_time",
-        "ranges",
-        "intensities",
-    ),
+    "sensor_msgs/msg/LaserScan": SCAN,
+    "sensor_msgs/msg/MultiEchoLaserScan": SCAN,
     "sensor_msgs/msg/PointCloud2": attrgetter(
         *STAMP, "height", "width", "fields", "is_bigendian", "point_step", "row_step", "data"
     ),
