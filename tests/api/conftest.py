@@ -61,6 +61,11 @@ def office_logs():
 
 
 @pytest.fixture(scope="session")
+def logs(office_logs):
+    return office_logs[0]
+
+
+@pytest.fixture(scope="session")
 def office_truth(office_logs, tmp_path_factory):
     """The files of what is true."""
     folder = tmp_path_factory.mktemp("truth")

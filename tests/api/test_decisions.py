@@ -17,11 +17,6 @@ pytestmark = pytest.mark.usefixtures("_remembered")
 
 
 @pytest.fixture(scope="module")
-def logs(office_logs):
-    return office_logs[0]
-
-
-@pytest.fixture(scope="module")
 def made(office_map):
     return office_map
 

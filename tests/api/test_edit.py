@@ -21,11 +21,6 @@ OFF = [0.5, -0.4, 0.03]  # [m, m, rad] from where the scans have it
 
 
 @pytest.fixture(scope="module")
-def logs(office_logs):
-    return office_logs[0]
-
-
-@pytest.fixture(scope="module")
 def team(office_map, tmp_path_factory):
     """A copy: whoever edits may write into it."""
     return shutil.copytree(office_map[1], tmp_path_factory.mktemp("edited") / "out")

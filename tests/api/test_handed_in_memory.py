@@ -14,16 +14,7 @@ import mapweave
 from mapweave.io.g2o import read_g2o_file
 from mapweave.io.tum import read_tum, write_tum
 
-
-class Frame:
-    """As much of a data frame as is asked for."""
-
-    def __init__(self, columns):
-        self.columns = list(columns)
-        self._data = columns
-
-    def __getitem__(self, name):
-        return self._data[name]
+from .frames import Frame
 
 
 def told(result):

@@ -7,22 +7,13 @@ import pytest
 
 import mapweave
 
+from .frames import Frame
+
 
 def columns(path):
     with path.open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     return {name: [row[name] for row in rows] for name in rows[0]}
-
-
-class Frame:
-    """As much of a data frame as is asked for."""
-
-    def __init__(self, columns):
-        self.columns = list(columns)
-        self._data = columns
-
-    def __getitem__(self, name):
-        return self._data[name]
 
 
 @pytest.fixture(scope="module")

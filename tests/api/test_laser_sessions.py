@@ -21,11 +21,6 @@ pytestmark = pytest.mark.usefixtures("_remembered")
 
 
 @pytest.fixture(scope="module")
-def logs(office_logs):
-    return office_logs[0]
-
-
-@pytest.fixture(scope="module")
 def sessions(logs, office_map, tmp_path_factory):
     """One run of both logs; a run of the first and another that goes on with the second."""
     folder = tmp_path_factory.mktemp("sessions")

@@ -1,24 +1,14 @@
 """Bad input at the command line: one clear line, the right exit status, nothing left half-written."""
 
-import io
 import json
 import shutil
-from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import pytest
 
-from mapweave.cli import main
+from .terminal import run
 
 pytestmark = pytest.mark.drawn
-
-
-def run(*words):
-    """Exit status, stdout and stderr of the command line, in this process."""
-    out, err = io.StringIO(), io.StringIO()
-    with redirect_stdout(out), redirect_stderr(err), pytest.raises(SystemExit) as end:
-        main([str(w) for w in words])
-    return end.value.code, out.getvalue(), err.getvalue()
 
 
 @pytest.fixture(scope="module")

@@ -1,26 +1,16 @@
 """The landmark job as a user sees it, through the installed command line alone: no data, nothing from other tests."""
 
 import csv
-import io
 import json
 import shutil
-from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from mapweave.cli import main
+from .terminal import run
 
 pytestmark = pytest.mark.drawn
-
-
-def run(*words):
-    """Exit status, stdout and stderr of the command line, in this process."""
-    out, err = io.StringIO(), io.StringIO()
-    with redirect_stdout(out), redirect_stderr(err), pytest.raises(SystemExit) as end:
-        main([str(w) for w in words])
-    return end.value.code, out.getvalue(), err.getvalue()
 
 
 def tree(folder: Path, *patterns: str):

@@ -19,15 +19,7 @@ from mapweave.landmarks.submap_slam import (
     update,
 )
 
-
-def numeric(f, x, h=1e-6):
-    x = np.asarray(x, float)
-    columns = []
-    for k in range(x.size):
-        d = np.zeros(x.size)
-        d[k] = h
-        columns.append((f((x.ravel() + d).reshape(x.shape)) - f((x.ravel() - d).reshape(x.shape))).ravel() / (2 * h))
-    return np.stack(columns, axis=1)
+from ..differences import jacobian
 
 
 def random_psd(rng, n, scale=0.1):
@@ -41,11 +33,11 @@ def test_motion_and_sighting_jacobians_agree_with_central_differences():
     for _ in range(20):
         pose, control = rng.uniform(-3, 3, 3), rng.uniform(-2, 2, 2)
         points = rng.uniform(-10, 10, (3, 2))
-        assert np.abs(carried(pose, control) - numeric(lambda x: move(x, control, 0.5), pose)).max() < 1e-6
+        assert np.abs(carried(pose, control) - jacobian(lambda x: move(x, control, 0.5), pose)).max() < 1e-6
         for p in points:
             H = np.empty((2, 5))
             kernels.sight_jacobian(pose, p, H)
-            both = numeric(lambda x: predicted_observation(x[:3], x[None, 3:]), np.concatenate([pose, p]))
+            both = jacobian(lambda x: predicted_observation(x[:3], x[None, 3:]), np.concatenate([pose, p]))
             assert np.abs(H - both).max() < 1e-6
 
 
@@ -76,7 +68,7 @@ def test_the_hand_over_residual_has_the_jacobian_of_its_differences():
         Y.x[:] = x
         return Y.residuals(pairs)[0]
 
-    dense = numeric(residual, MapAndSubmap(G, L).x)
+    dense = jacobian(residual, MapAndSubmap(G, L).x)
     assert np.allclose(H, dense[:, used], atol=1e-6)
     assert not np.delete(dense, used, axis=1).any()
 
@@ -91,13 +83,13 @@ def test_a_submap_step_equals_a_dense_textbook_ekf():
     u = np.array([1.5, 0.4])
     p = predict(m, u, cfg)
     F = np.eye(7)
-    F[:3, :3] = numeric(lambda x: move(x, u, cfg.period), m.pose)
+    F[:3, :3] = jacobian(lambda x: move(x, u, cfg.period), m.pose)
     P = F @ m.cov @ F.T
     P[:3, :3] += cfg.Q
     assert np.allclose(p.cov, P, atol=1e-10)
     z = predicted_observation(p.pose, p.mean) + 0.01
     done, _ = update(p, Observations(z, ("0", "1")), cfg)
-    H = numeric(lambda x: predicted_observation(x[:3], x[3:].reshape(2, 2)), np.concatenate([p.pose, p.mean.ravel()]))
+    H = jacobian(lambda x: predicted_observation(x[:3], x[3:].reshape(2, 2)), np.concatenate([p.pose, p.mean.ravel()]))
     R = np.kron(np.eye(2), cfg.R)
     K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
     x = np.concatenate([p.pose, p.mean.ravel()]) + K @ (z - predicted_observation(p.pose, p.mean)).ravel()
@@ -228,10 +220,10 @@ def test_a_hand_over_equals_conditioning_and_mapping_the_whole_map_and_submap():
     P[:12, :12], P[12:, 12:] = G.cov, L.cov
     x = x0
     for _ in range(20):
-        H = numeric(residual, x)
+        H = jacobian(residual, x)
         K = P @ H.T @ np.linalg.inv(H @ P @ H.T)
         x = x0 - K @ (residual(x) - H @ (x - x0))
-    J = numeric(forward, x)
+    J = jacobian(forward, x)
     done = hand_over(G, L, known=True)
     assert done.matched == (True, True, False, False)
     assert done.map.ids == ("0", "1", "2", "new", "newer")

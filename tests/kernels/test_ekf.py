@@ -7,6 +7,7 @@ from mapweave.core.gaussian import joseph
 from mapweave.core.se2 import wrap_angle
 from mapweave.kernels.landmarks import ekf, ekf_apply_drive, ekf_drive, ekf_state
 
+from ..differences import jacobian
 from . import robot_models as models
 
 pytestmark = pytest.mark.kernel
@@ -116,21 +117,12 @@ def predicted(x, slot):
     return np.array([x[ekf_state.RANGE_SCALE] * r, b + x[ekf_state.BEARING_BIAS]])
 
 
-def numeric(f, x):
-    columns = []
-    for k in range(len(x)):
-        d = np.zeros(len(x))
-        d[k] = 1e-6
-        columns.append((f(x + d) - f(x - d)) / 2e-6)
-    return np.array(columns).T
-
-
 @pytest.mark.parametrize("gate", [1e9, 0.01])
 def test_one_sighting_equals_the_dense_update(gate):
     x, P = random_state(7)
     noise = PLAIN._replace(gate=gate, range_inflation=20.0, bearing_inflation=5.0)
     z = predicted(x, 1) + np.array([0.1, -0.02])
-    H = numeric(lambda y: predicted(y, 1), x)
+    H = jacobian(lambda y: predicted(y, 1), x)
     r = np.hypot(*(x[10:12] - x[:2]))
     R = models.noise(r, 0.05, 0.045, 0.014)
     e = z - predicted(x, 1)
@@ -180,7 +172,7 @@ def test_a_landmark_starts_where_it_was_seen_with_its_cross_covariances():
     def place(y):
         return models.locate(y[:3], np.array([y[8] / y[ekf_state.RANGE_SCALE], y[9] - y[ekf_state.BEARING_BIAS]]))
 
-    G = numeric(place, np.concatenate([x[:8], z]))
+    G = jacobian(place, np.concatenate([x[:8], z]))
     R = models.noise(2.5 / x[ekf_state.RANGE_SCALE], 0.05, 0.045, 0.014)
     old = P[:-2, :-2].copy()
     cross = np.zeros((2, len(old)))

@@ -10,22 +10,14 @@ import numpy as np
 import pytest
 
 from mapweave.api.live import live_map, live_robot
-from mapweave.api.simulate import simulate_landmarks
 from mapweave.cli import _run
 from mapweave.live import robot as robot_module
 from mapweave.live.transport import Network
 
 from .bad_network import LossyRelay, Relay, ip, lossy, two_namespaces
-from .processes import Fleet, free_endpoint, same_result
+from .processes import free_endpoint, same_result
 
 pytestmark = pytest.mark.drawn
-
-
-@pytest.fixture(scope="module")
-def source(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("bad") / "team"
-    simulate_landmarks(folder, robots=2, minutes=1.0, seed=3)
-    return folder
 
 
 @pytest.fixture(scope="module")
@@ -34,13 +26,6 @@ def direct(source):
     command = [sys.executable, "-m", "mapweave", "map", str(source), "--out", str(out)]
     subprocess.run(command, check=True, capture_output=True, timeout=120)  # noqa: S603
     return out
-
-
-@pytest.fixture
-def fleet(tmp_path, source):
-    made = Fleet(tmp_path, source)
-    yield made
-    made.end()
 
 
 @pytest.mark.slow

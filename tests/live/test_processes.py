@@ -5,18 +5,10 @@ import time
 import pytest
 
 from mapweave.api.map import map as map_logs
-from mapweave.api.simulate import simulate_landmarks
 
-from .processes import Fleet, same_result
+from .processes import same_result
 
 pytestmark = pytest.mark.drawn
-
-
-@pytest.fixture(scope="module")
-def source(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("live") / "team"
-    simulate_landmarks(folder, robots=2, minutes=1.0, seed=3)
-    return folder
 
 
 @pytest.fixture(scope="module")
@@ -24,13 +16,6 @@ def direct(source):
     folder = source.parent / "direct"
     map_logs(source, folder)
     return folder
-
-
-@pytest.fixture
-def fleet(tmp_path, source):
-    made = Fleet(tmp_path, source)
-    yield made
-    made.end()
 
 
 @pytest.mark.slow

@@ -9,6 +9,8 @@ from mapweave.core import se2
 from mapweave.ranges.fixes import Laid, Sights, fix_factor, lay, mirrored, registered, turn_sd
 from mapweave.ranges.network import Motions
 
+from ..differences import assert_derivative
+
 STEP_SD, TURN_SD = 0.02, 0.004  # [m], [rad] of a motion of half a metre
 ARM = np.array([0.3, 0.1])
 
@@ -110,12 +112,7 @@ def test_the_jacobian_of_a_fix_equals_finite_differences():
         np.zeros(2, np.int64),
     )
     factor = fix_factor(sights, np.tile(np.diag([1.0, 4.0]), (2, 1, 1)), None)
-    J = factor.jacobian(x)
-    for row, column in np.ndindex(factor.columns.shape):
-        d = np.zeros(len(x))
-        d[factor.columns[row, column]] = 1e-6
-        numeric = (factor.residual(x + d) - factor.residual(x - d))[row] / 2e-6
-        assert J[row, :, column] == pytest.approx(numeric, abs=1e-6)
+    assert_derivative(factor, x)
 
 
 def test_fixes_of_the_wrong_hemisphere_are_told_from_right_ones_and_a_straight_way_is_not_accused():

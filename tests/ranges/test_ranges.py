@@ -15,6 +15,7 @@ from mapweave.ranges.log import RangeLog, network_of
 from mapweave.ranges.network import Motions, RangeNetwork, Ranges
 from mapweave.ranges.start import placements
 
+from ..differences import assert_derivative
 from .worlds import BIAS, LINE, SQUARE, STILL, driven, ranged
 
 TWO = {"robot1": driven(SQUARE, (0.0, 0.0, 0.0)), "robot2": driven(SQUARE[::-1] * 1.3, (2.0, 5.0, 2.0))}
@@ -44,12 +45,7 @@ def test_jacobians_of_ranges_and_motions_equal_finite_differences():
     ends, levers = (np.array([0, 1]), np.array([2, 0])), rng.normal(size=(2, 2, 2))
     ranges = Ranges(*ends, np.zeros(2), np.ones(2), np.ones(2), *levers)
     for factor in (motion_factor(motions), range_factor(ranges, np.array([9, 10]), np.ones(2), None)):
-        J = factor.jacobian(x)
-        for row, column in np.ndindex(factor.columns.shape):
-            d = np.zeros(len(x))
-            d[factor.columns[row, column]] = 1e-6
-            numeric = (factor.residual(x + d) - factor.residual(x - d))[row] / 2e-6
-            assert J[row, :, column] == pytest.approx(numeric, abs=1e-6)
+        assert_derivative(factor, x)
 
 
 def test_a_beacon_seen_from_a_straight_way_may_lie_on_either_side_and_from_a_corner_on_one():

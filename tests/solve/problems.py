@@ -88,12 +88,3 @@ def as_problem(truth, points, odometry, sightings, rng, kernel=None, start_noise
         ),
     ]
     return Problem(x0=x0, terms=factors, fixed=fixed, retract=wrapping(angles))
-
-
-def numeric_jacobian(f, x, h=1e-6):
-    columns = []
-    for k in range(len(x)):
-        d = np.zeros(len(x))
-        d[k] = h
-        columns.append((f(x + d) - f(x - d)) / (2 * h))
-    return np.stack(columns, axis=-1)

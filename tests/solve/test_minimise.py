@@ -6,7 +6,8 @@ import pytest
 from mapweave.core import se2
 from mapweave.solve import Cauchy, Factor, GemanMcClure, Huber, Pattern, Problem, SolveConfig, SolveStatus, minimise
 
-from .problems import as_problem, numeric_jacobian, pose_landmark_world
+from ..differences import assert_derivative, jacobian
+from .problems import as_problem, pose_landmark_world
 
 
 def random_linear(rng, n=30, m=80, k=2, d=5):
@@ -131,9 +132,7 @@ def test_the_analytic_jacobians_of_the_shared_problem_are_the_numeric_ones():
     rng = np.random.default_rng(5)
     problem = as_problem(*pose_landmark_world(rng), rng)
     for factor in problem.terms:
-        numeric = numeric_jacobian(factor.residual, problem.x0)
-        picked = np.take_along_axis(numeric, np.repeat(factor.columns[:, None, :], factor.rows, 1), axis=2)
-        np.testing.assert_allclose(factor.jacobian(problem.x0), picked, atol=1e-7)
+        assert_derivative(factor, problem.x0, 1e-7)
 
 
 def test_a_bad_start_converges_with_damping_to_the_same_minimum():
@@ -286,7 +285,7 @@ def test_the_minimum_and_its_covariance_are_those_of_gtsam():
                         other = se2.between(new, q) if at == i else se2.between(p, new)
                         return other - z
 
-                    H[k] = np.asfortranarray(numeric_jacobian(moved, np.zeros(3)))
+                    H[k] = np.asfortranarray(jacobian(moved, np.zeros(3)))
             return r
 
         graph.add(gtsam.CustomFactor(noise, [int(i), int(j)], error))

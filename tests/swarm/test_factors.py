@@ -7,6 +7,8 @@ from mapweave.swarm.factors import apart_factor, bearing_factor, distance_factor
 from mapweave.swarm.network import BearingNetwork, Distance
 from mapweave.swarm.start import mutual_pairs
 
+from ..differences import assert_derivative
+
 RNG = np.random.default_rng(6)
 
 
@@ -22,15 +24,6 @@ def a_network(dim, axis, n=5, sigma=0.02):
     distances = (Distance(0, 3, 2.0, 0.3), Distance(4, 1, 1.5))
     net = BearingNetwork(tuple(map(str, range(n))), dim, i, j, seen, np.full(len(i), sigma), {}, distances, axis)
     return net, np.column_stack([places, headings])[:, : width(net)].ravel()
-
-
-def assert_derivative(factor, x, atol=1e-6):
-    J = factor.jacobian(x)
-    for m, columns in enumerate(factor.columns):
-        for k, column in enumerate(columns):
-            d = 1e-6 * (np.arange(len(x)) == column)
-            change = (factor.residual(x + d)[m] - factor.residual(x - d)[m]) / 2e-6
-            np.testing.assert_allclose(J[m, :, k], change, atol=atol)
 
 
 @pytest.mark.parametrize(("dim", "axis"), [(2, True), (2, False), (3, True)])

@@ -1,0 +1,21 @@
+"""A recorded team, and the processes that replay it."""
+
+import pytest
+
+from mapweave.api.simulate import simulate_landmarks
+
+from .processes import Fleet
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("live") / "team"
+    simulate_landmarks(folder, robots=2, minutes=1.0, seed=3)
+    return folder
+
+
+@pytest.fixture
+def fleet(tmp_path, source):
+    made = Fleet(tmp_path, source)
+    yield made
+    made.end()
