@@ -121,6 +121,7 @@ TOLD = {  # code of a finding: the cause that it is a sign of by itself
     "scan-gap": "gaps",
     "gap-disputed": "gaps",
     "labels-exchanged": "labels",
+    "landmarks-renamed": "labels",
     "tag-twice": "labels",
     "sightings-doubted": "labels",
     "wheels-stand": "slip",

@@ -159,6 +159,7 @@ class TeamResult(ResultBase):
                     "reason": d.reason,
                     "scale": d.scale,
                     "variance_factor": d.variance_factor,
+                    "renamed": dict(self.fusion.labels.get(d.robot, {})),
                 }
                 for d in self.fusion.decisions
             ],

@@ -597,6 +597,13 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "Two landmarks bear each other's names in this robot's log.",
             "Correct the labels.",
         ),
+        "landmarks-renamed": FindingKind(
+            "doubtful",
+            "{value:.0f} of its {all:.0f} landmarks bear other names than the others': it calls {names}",
+            "By their names its landmarks lie elsewhere than the others put them; by where they lie they are the same "
+            "ones under other names.",
+            "Correct the names in its log. Where it drove in another place, give its log a map of its own.",
+        ),
         "landmark-elsewhere": FindingKind(
             "note",
             "landmark {name} lies {value:.2f} m from where the others put it{which}",

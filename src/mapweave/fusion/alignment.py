@@ -106,13 +106,23 @@ def joint_fit(
     """
     fitted = _Linked(source, target, links, noise, scale_sigma)
     solution = gauss_newton(fitted.normal, np.append(T, 1.0), max_iterations=STEPS, retract=wrapping(np.array([2])))
-    A, r, J = fitted.linearised(solution.x)
-    k, Ar = len(links), A @ r
-    Q = A - A @ J @ np.linalg.solve(solution.information, J.T @ A)
-    blocks = Q.reshape(k, 2, k, 2)[np.arange(k), :, np.arange(k)] + 1e-12 * np.eye(2)
-    u = Ar.reshape(k, 2)
-    single = np.einsum("ki,ki->k", u, np.linalg.solve(blocks, u[:, :, None])[:, :, 0])
-    return JointFit(solution.x[:3], float(solution.x[3]), solution.cost, single)
+    u, r = fitted.left_out(solution.x, solution.information)[:2]
+    return JointFit(solution.x[:3], float(solution.x[3]), solution.cost, np.einsum("ki,ki->k", u, r))
+
+
+def left_out(
+    source: LandmarkMap,
+    target: LandmarkMap,
+    links: Int[np.ndarray, "k 2"],
+    fit: JointFit,
+    noise: float,
+    scale_sigma: float,
+) -> tuple[Float[np.ndarray, "k 2"], Float[np.ndarray, "k 2 2"]]:
+    """Each link's residual [m] and its covariance when all other links, and not it, tell how the maps lie."""
+    fitted = _Linked(source, target, links, noise, scale_sigma)
+    x = np.append(fit.T, fit.scale)
+    _, r, blocks = fitted.left_out(x, fitted.normal(x)[0])
+    return r, np.linalg.inv(blocks)
 
 
 class _Linked:
@@ -143,6 +153,17 @@ class _Linked:
         J[0::2, 2], J[1::2, 2] = -x[3] * turned[:, 1], x[3] * turned[:, 0]
         J[:, 3] = turned.ravel()
         return A, (x[3] * turned + x[:2] - self.z).ravel(), J
+
+    def left_out(
+        self, x: Float[np.ndarray, "4"], information: Float[np.ndarray, "4 4"]
+    ) -> tuple[Float[np.ndarray, "k 2"], Float[np.ndarray, "k 2"], Float[np.ndarray, "k 2 2"]]:
+        """Of every link left out alone: its part of the gradient, its residual [m], and the information on that."""
+        A, r, J = self.linearised(x)
+        k = len(self.p)
+        Q = A - A @ J @ np.linalg.solve(information, J.T @ A)
+        blocks = Q.reshape(k, 2, k, 2)[np.arange(k), :, np.arange(k)] + 1e-12 * np.eye(2)
+        u = (A @ r).reshape(k, 2)
+        return u, np.linalg.solve(blocks, u[:, :, None])[:, :, 0], blocks
 
     def normal(self, x: Float[np.ndarray, "4"]) -> tuple[np.ndarray, np.ndarray, float]:
         """The normal equations with the prior of the scale."""

@@ -296,17 +296,18 @@ class FrameEvidence:
         n, wrong = len(self.shared), len(self.contradicting)
         if not wrong:
             named = ", ".join(self.shared[:LISTED])
-            return f"that the {n} landmarks it shares with {other} ({named}{_more(n)}) agree may be chance"
+            return f"that the {n} landmarks it shares with {other} ({named}{more(n)}) agree may be chance"
         named = ", ".join(sorted(self.contradicting[:LISTED], key=in_order))
         lie = "lies" if wrong == 1 else "lie"
         far = f"{self.distance[-1]:.2f} to {self.distance[0]:.2f}" if wrong > 1 else f"{self.distance[0]:.2f}"
         return (
-            f"contradicts {other}: {n - wrong} of {n} shared landmarks agree; {named}{_more(wrong)} {lie} {far} m "
+            f"contradicts {other}: {n - wrong} of {n} shared landmarks agree; {named}{more(wrong)} {lie} {far} m "
             "from where the others put them"
         )
 
 
-def _more(n: int) -> str:
+def more(n: int) -> str:
+    """The end of a list of n things of which `LISTED` are told."""
     return f" and {n - LISTED} more" if n > LISTED else ""
 
 

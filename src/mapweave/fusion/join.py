@@ -1,30 +1,33 @@
 """The front door of fusing: local maps in, one map for each component out, with a reason for every robot."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 
 from ..core.findings import Finding
 from ..core.gaussian import is_positive_definite
-from ..core.names import in_order
+from ..core.names import in_order, robot_key
 from ..landmarks.landmark_map import LandmarkMap, LocalMap
 from .cluster import ENOUGH, Cluster, JoinedMap, average
 from .config import CONSTANT_VARIANCE, FUSE_DELTA, SIGHTING_EVERY, VARIANCE_PRIOR, FuseConfig
 from .full_covariance import join
 from .identities import identify
 from .initial_frames import (
+    LISTED,
     Outlier,
     PlaceTest,
-    arrange,
     as_cluster,
     find_exchanged,
     find_outliers,
     inflated,
+    more,
     relabelled,
     widened,
 )
 from .relative import FrameSightings, RelativeConfig, frame_sightings, fuse_relative, sighting_factor
+from .renaming import Arranged, Renaming, arrange_renamed, rename_doubted, renamings
 from .result import APART, Component, Decision, Fusion
 
 
@@ -59,10 +62,12 @@ def fuse(
         recordings = None  # names were found from geometry: they have one meaning now
     before = landmarks
     origins = ["" if recordings is None else recordings.get(name, "") for name in names]
-    landmarks, starts, outliers, refused = _prepare(PlaceTest(landmarks, names, origins, cfg))
+    landmarks, starts, outliers, refused, renamed = _prepare(PlaceTest(landmarks, names, origins, cfg))
     refused = nameless | refused
+    otherwise = {r.owner: len(r.names) for r in renamed}
     for k, (old, new) in enumerate(zip(before, landmarks, strict=True)):
         _relabel(labels, sound[k], dict(zip(old.ids, new.ids, strict=True)))
+    findings += [_renaming_finding(names, before[r.owner], r) for r in renamed]
     findings += _outlier_findings(names, outliers)
     if cfg.repeats != 1:
         findings.append(Finding("maps-repeated", value=cfg.repeats))
@@ -75,7 +80,7 @@ def fuse(
         doubted = {names[k]: widened([d for d in outliers if d.owner == k]) for k in start.members}
         components.append(_component(robots, own, joined, {r: wide for r, wide in doubted.items() if wide}))
         decisions += [
-            _decide(robots, i, joined, start, refused.get(k), first=not len(components) > 1)
+            _decide(robots, i, joined, start, refused.get(k), otherwise.get(k, 0), first=not len(components) > 1)
             for i, k in enumerate(start.members)
         ]
     order = {m.robot: i for i, m in enumerate(ordered)}
@@ -100,19 +105,27 @@ def _sightings(maps: Sequence[LocalMap], frames: Float[np.ndarray, "m 3"], cfg: 
     )
 
 
-def _prepare(test: PlaceTest) -> tuple[list[LandmarkMap], list[Cluster], list[Outlier], dict[int, str]]:
-    """Maps with exchanged labels put back, how they lie, what is still doubted, and which were refused."""
-    clusters, refused = arrange(test)
-    landmarks = list(test.maps)
-    outliers = [d for c in clusters for d in find_exchanged(c, find_outliers(c))]
+def _prepare(
+    test: PlaceTest,
+) -> tuple[list[LandmarkMap], list[Cluster], list[Outlier], dict[int, str], list[Renaming]]:
+    """Maps with names put right, how they lie, what is still doubted, which were refused, and what was renamed."""
+    known = test.cfg.identities == "known"
+    now = arrange_renamed(test) if known else Arranged.of(test)
+    outliers = [d for c in now.clusters for d in find_exchanged(c, find_outliers(c))]
     mended = [d for d in outliers if d.belongs_to]
     if mended:
-        landmarks = [relabelled(m, [d for d in mended if d.owner == k]) for k, m in enumerate(landmarks)]
-        clusters, refused = arrange(PlaceTest(landmarks, test.robots, test.recordings, test.cfg))
-        outliers = mended + [d for c in clusters for d in find_outliers(c)]
-    for cluster in clusters:
+        maps = [relabelled(m, [d for d in mended if d.owner == k]) for k, m in enumerate(now.test.maps)]
+        now = Arranged.of(replace(now.test, maps=maps), now.given).doubted()
+    else:
+        now.outliers = outliers
+    now = rename_doubted(now) if known else now
+    for cluster in now.clusters:
         cluster.converge()
-    return landmarks, [as_cluster(c, landmarks) for c in clusters], outliers, refused
+    landmarks = list(now.test.maps)
+    exchanged = {k: {d.id for d in mended if d.owner == k} for k in now.given}
+    told = renamings(now, test.maps, exchanged)
+    starts = [as_cluster(c, landmarks) for c in now.clusters]
+    return landmarks, starts, mended + now.outliers, now.refused, told
 
 
 def _join(
@@ -181,8 +194,16 @@ def _component(
 
 
 def _decide(
-    robots: tuple[str, ...], i: int, joined: JoinedMap, start: Cluster, refused: str | None, *, first: bool
+    robots: tuple[str, ...],
+    i: int,
+    joined: JoinedMap,
+    start: Cluster,
+    refused: str | None,
+    otherwise: int,
+    *,
+    first: bool,
 ) -> Decision:
+    """otherwise: how many of its landmarks the robot called by other names than the rest."""
     shared, robot = int(start.shared[i]), robots[i]
     scale, factor = float(joined.scales[i]), float(joined.variance_factors[i])
     if refused is not None:
@@ -192,7 +213,8 @@ def _decide(
         return Decision(robot, shared, "refused", why, scale, factor)
     if i == 0:
         return Decision(robot, shared, "reference", "its first pose is the map's frame", scale, factor)
-    return Decision(robot, shared, "merged", f"shares {shared} landmarks with the others", scale, factor)
+    names = f", {otherwise} under other names" if otherwise else ""
+    return Decision(robot, shared, "merged", f"shares {shared} landmarks with the others{names}", scale, factor)
 
 
 def _single_use(maps: Sequence[LocalMap]) -> tuple[list[LocalMap], list[Decision], list[Finding]]:
@@ -215,6 +237,23 @@ def _unsound(m: LocalMap) -> str | None:
     if not is_positive_definite(landmarks.cov):
         return "its covariance is not positive definite"
     return None
+
+
+def _renaming_finding(robots: Sequence[str], m: LandmarkMap, r: Renaming) -> Finding:
+    """Which landmarks of its map `m` robot `robots[r.owner]` calls otherwise than the others, in words."""
+    alone = len(r.others) == 1
+    others, call = (f"robot {robot_key(robots[r.others[0]])}", "calls") if alone else ("the others", "call")
+    names = sorted(r.names, key=in_order)
+    told = [f"{own} what {others} {call} {r.names[own]}" for own in names[:LISTED]]
+    apart = sorted(r.apart, key=in_order)
+    left = f"; what they call its {', '.join(apart[:LISTED])}{more(len(apart))} is not known" if apart else ""
+    either = " (or the other way round: only two see them)" if alone else ""
+    value: dict[str, float | str] = {
+        "value": len(names),
+        "all": len(m),
+        "names": ", ".join(told) + more(len(names)) + either + left,
+    }
+    return Finding("landmarks-renamed", robots[r.owner], value=value, action="taken as the same ones")
 
 
 def _outlier_findings(names: Sequence[str], outliers: Sequence[Outlier]) -> list[Finding]:
