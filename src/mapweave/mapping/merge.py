@@ -38,6 +38,7 @@ from .merge_trust import Grounds
 
 SAID_SD, SAID_SD_TURN = 0.1, 0.03  # [m], [rad] of a transform that somebody tells,
 NUDGE, NUDGE_TURN = 0.5, 0.1  # [m], [rad] that walls may move it by
+SURE = 0.98  # probability from which a place needs no further submaps that confirm it
 MOST_CLOSURES = 80  # places of one transform that are asked whether they confirm it
 
 
@@ -252,12 +253,16 @@ def _weighed(pair: Pair, ways: Sequence[Candidate], matches: Sequence[Hypothesis
     needed = cfg.votes if start is None else cfg.known_votes
     if len(held) >= needed:
         best = candidate(a, b, held, cfg)._replace(votes=best.votes)
-    elif _certain(best, cfg):
+    others = [c for c in ways if not same_place(b, c.transform, best.transform, cfg)]
+    rival = max(others, key=lambda c: (allowed(pair, c, best), pair.evidence(c)), default=None)
+    alike = pair.alike_for(best, len(held), max((c.votes for c in others), default=0))
+    hold = grip(pair, best, alike) if best.seen.share >= alike and best.seen.alike >= cfg.least_seen else None
+    grounds = _grounds(pair, best, rival, hold, _spread(held, b, best.transform) if held else 0.0)
+    sure = start is None and grounds.probability() >= SURE
+    if len(held) < needed and (sure or _certain(best, cfg)):
         checked += [(h, _closure(a, b, h, best, cfg, whole=True)) for h in best.members[:1]]
         held = [h for h, c in checked if c.accepted]
         needed = 1
-    others = [c for c in ways if not same_place(b, c.transform, best.transform, cfg)]
-    rival = max(others, key=lambda c: (allowed(pair, c, best), pair.evidence(c)), default=None)
     score = _score(held or best.members)
     merge = Merge(
         a.robot,
@@ -273,16 +278,12 @@ def _weighed(pair: Pair, ways: Sequence[Candidate], matches: Sequence[Hypothesis
         rival=None if rival is None else frozen(rival.transform),
         best=frozen(best.transform),
         closures=tuple(c for _, c in checked),
+        grounds=grounds if start is None else None,
     )
-    alike = pair.alike_for(best, len(held), max((c.votes for c in others), default=0))
-    hold = grip(pair, best, alike) if best.seen.share >= alike and best.seen.alike >= cfg.least_seen else None
     why = _why_refused(pair, merge, best, rival, needed, alike, hold)
-    spread = _spread(held, b, best.transform) if held else 0.0
-    grounds = _grounds(pair, best, rival, hold, spread)
-    merge = replace(merge, grounds=grounds if start is None else None)
     if why:
         return replace(merge, reason=why, overlap=None if "too little overlap" in why else merge.overlap)
-    on = f"{len(held)} closures that agree within {spread:.2f} m"
+    on = f"{len(held)} closures that agree within {grounds.spread:.2f} m"
     if needed == 1:
         on = f"the whole maps: {best.seen.alike} places of walls that both saw agree"
     reason = f"merged on {on}: {100 * best.seen.share:.0f} % of what both robots saw is alike"

@@ -13,6 +13,7 @@ UNCLEAR = 0.003  # of what both saw, added to the share that is not alike: half 
 SLACK = 0.01  # added to what holds along the weakest direction, over what does across it
 LEAST = 0.002  # probability that is told: of a thousand pairs and more none or one tells less
 SIGNS = (0, 1, 1, -1, -1, -1, 1, -1)  # of what speaks for a place, and against it
+# of the features, in their order, as `benchmarks/merge_trust.py --fit` found them
 WEIGHTS = (-1.522, 0.000, 1.266, -2.430, -5.663, -1.910, 0.754, -3.648)
 
 
