@@ -441,7 +441,7 @@ def reproduce_kojima(
     out
         The folder to write: tables, figures, claims and how they came out; an earlier result there is replaced whole.
     quick
-        20 simulated worlds, not 200 (False).
+        20 simulated worlds and 25 trials without names, not 200 and 100 (False).
     seed
         Of everything drawn at random (0).
     force
@@ -457,7 +457,7 @@ def reproduce_kojima(
     if out is not None:
         check_target(Path(out), force=force)
     begun = perf_counter()
-    seeds, draws, unequal_seeds, trials = (20, 100, 60, 10) if quick else (200, 10, 400, 100)
+    seeds, draws, unequal_seeds, trials = (20, 100, 60, 25) if quick else (200, 10, 400, 100)
     cfg = KojimaConfig()
     drawn, driven, again, pairs = (np.random.default_rng([seed, k]) for k in range(4))
     worlds = draw_worlds(seeds, drawn)
