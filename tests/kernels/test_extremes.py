@@ -28,6 +28,7 @@ from mapweave.kernels.laser.tile_writing import insert, touch
 from mapweave.kernels.laser.tiles import FLOATS, TileBooks, TileMaps, gather
 from mapweave.kernels.laser.windows import NearestRule, score
 from mapweave.kernels.mapping.places import Clouds, SearchedField, SearchRules, heading_peaks, search_submaps
+from mapweave.kernels.mapping.views import judge_walls
 from mapweave.kernels.walls.raycast import cast
 from mapweave.kernels.walls.segments import (
     Raster,
@@ -252,7 +253,15 @@ def lined(x):
     beam_lines(x(n), x(n), np.abs(x(n)), x.marks(n), half, 0.1, 0.1)
 
 
+def viewed(x):
+    n, walls, bins = 3, 12, 8
+    poses, views = np.array([x.poses() for _ in range(n)]), x(n, bins)
+    seen, gone = judge_walls(poses, views, x(walls, 2), x(walls, 2), 8.0, 0.2, 0.02, 0.4, 0.2)
+    assert max(seen.max(), gone.max()) <= n
+
+
 KERNELS = [
+    viewed,
     into_local_map,
     laid,
     among_tiles,

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from .._jit import kernel
+from ..cells import cell_of
 
 
 @kernel
@@ -33,13 +34,11 @@ def judge_walls(
         x, y, c, s = poses[k, 0], poses[k, 1], math.cos(poses[k, 2]), math.sin(poses[k, 2])
         for i in range(count):
             dx, dy = walls[i, 0] - x, walls[i, 1] - y
-            if abs(dx) > reach or abs(dy) > reach:
-                continue
             r = math.sqrt(dx * dx + dy * dy)
-            if r > reach:
+            if not r <= reach:  # nor what is no number
                 continue
             turn = math.atan2(c * dy - s * dx, c * dx + s * dy) / (2.0 * math.pi)
-            middle = math.floor(turn * bins)
+            middle = cell_of(turn * bins)
             nearest, like, known = math.inf, False, True
             for beside in range(-1, 2):
                 there = views[k, (middle + beside) % bins]
