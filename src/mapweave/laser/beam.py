@@ -65,7 +65,7 @@ class IntensityCalibration:
     log_incidence: Float[np.ndarray, " j"] = field(default_factory=lambda: np.zeros(0))
     information: float = WHOLE
     middle: float = 0.5
-    gain_sd: Float[np.ndarray, " k"] = field(default_factory=lambda: np.zeros(0))
+    gain_sd: Float[np.ndarray, " _"] = field(default_factory=lambda: np.zeros(0))
     exponent_sd: float = float("nan")
 
     def __post_init__(self) -> None:
