@@ -161,7 +161,8 @@ def test_two_places_that_fit_are_refused_and_a_start_decides(tmp_path):
     row = refused.metrics["fusion"][0]
     assert row["decision"] == "refused"
     assert row["reason"]
-    assert any(line == f"robot1 and robot2: not merged: {row['reason']}" for line in refused.lines())
+    words = f"robot1 and robot2: not merged: {row['reason']}; wrong with a probability of"
+    assert f"{words} {100 * row['probability_wrong']:.2g} %" in refused.lines()
     start = se2.between(part_of(truth, logs[0]).pose[0], part_of(truth, logs[1]).pose[0])
     told = mapweave.map(logs, start={"2": (*start.tolist(), 0.5)})
     assert told.metrics["components"] == [["1", "2"]]

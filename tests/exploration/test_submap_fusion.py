@@ -89,7 +89,8 @@ def test_a_submap_step_equals_a_dense_textbook_ekf():
     assert np.allclose(p.cov, P, atol=1e-10)
     z = predicted_observation(p.pose, p.mean) + 0.01
     done, _ = update(p, Observations(z, ("0", "1")), cfg)
-    H = jacobian(lambda x: predicted_observation(x[:3], x[3:].reshape(2, 2)), np.concatenate([p.pose, p.mean.ravel()]))
+    x = np.concatenate([p.pose, p.mean.ravel()])
+    H = jacobian(lambda x: predicted_observation(x[:3], x[3:].reshape(2, 2)).ravel(), x)
     R = np.kron(np.eye(2), cfg.R)
     K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
     x = np.concatenate([p.pose, p.mean.ravel()]) + K @ (z - predicted_observation(p.pose, p.mean)).ravel()

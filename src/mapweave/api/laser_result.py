@@ -197,7 +197,7 @@ def _robot_metrics(local_map: LaserMap, findings: Sequence[Finding]) -> dict[str
     light: dict[str, Any] = {}
     if c is not None:
         names = ("exponent", "exponent_sd", "scale", "residual", "samples", "weight")
-        light = {name: getattr(c, name) for name in names}
+        light = {name: getattr(c, name) for name in names} | ({} if len(c.gain_sd) else {"exponent_sd": None})
     metrics: dict[str, Any] = {
         "source": local_map.source,
         "verdict": verdict(found for found in findings if found.robot == robot_key(local_map.robot)),

@@ -49,7 +49,7 @@ LIGHT: dict[str, Spec] = {
 }
 
 
-SURE: dict[str, Spec] = {"gain_sd": ("number", ("sure",)), "exponent_sd": ("maybe", ())}
+SURE: dict[str, Spec] = {"gain_sd": ("number", ("sure",)), "exponent_sd": ("number", ())}
 
 
 def read_grid(path: Path) -> tuple[GridMap, IntensityCalibration | None, str]:
@@ -112,7 +112,7 @@ def write_grid(path: Path, grid: GridMap, calibration: IntensityCalibration | No
             "gain_sd": c.gain_sd,
             "exponent_sd": np.array(c.exponent_sd),
         }
-    write_arrays(path, arrays, gaps=("residual_by_range", "exponent_sd"))
+    write_arrays(path, arrays, gaps=("residual_by_range",))
 
 
 HEAD = "t,host,x,y,theta,innovation_x,innovation_y,innovation_theta,beams,matches,decision,n_eff,resampled"

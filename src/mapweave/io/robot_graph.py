@@ -15,7 +15,7 @@ NAME = "robot_graph.npz"
 VERSION = 1
 ARRAYS = ("t", "pose", "cov", "path", "step", "step_information", "start", "lined", "sensor")
 WORDS = ("text", "closure_reason", "border")
-GAPS = ("light_residual", "light_exponent_sd", "closure_numbers")  # NaN where there is nothing to tell
+GAPS = ("light_residual", "closure_numbers")  # NaN where there is nothing to tell
 THIN = ("points", "normals", "q")  # float32: a scanner's noise is a thousand times their rounding
 
 

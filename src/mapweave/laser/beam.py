@@ -49,7 +49,7 @@ class IntensityCalibration:
     knots: (k,) ranges [m]; log_gain: (k,) at the knots, linear between, held outside; exponent: p of incidence c^p;
     scale: the intensity of q = 1 at gain 1; residual: robust standard deviation of the fit in log units; samples:
     returns used. residual_by_range: (k,) median absolute residual near each knot. gain_sd: (k,) of log_gain, which
-    is told over that at 1 m; exponent_sd: of p; empty and NaN where not known. cosines, log_incidence: (j,) the law
+    is told over that at 1 m; exponent_sd: of p; empty and 0 where not known. cosines, log_incidence: (j,) the law
     of incidence where none of the form c^p fits as well, empty where it does. information: [1/m^2] what the feature of
     a return tells of where along its wall it is; `WHOLE` where nobody asked. middle: the median feature.
     """
@@ -66,7 +66,7 @@ class IntensityCalibration:
     information: float = WHOLE
     middle: float = 0.5
     gain_sd: Float[np.ndarray, " _"] = field(default_factory=lambda: np.zeros(0))
-    exponent_sd: float = float("nan")
+    exponent_sd: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("knots", "log_gain", "residual_by_range", "cosines", "log_incidence", "gain_sd"):

@@ -38,7 +38,6 @@ from .merge_trust import Grounds
 
 SAID_SD, SAID_SD_TURN = 0.1, 0.03  # [m], [rad] of a transform that somebody tells,
 NUDGE, NUDGE_TURN = 0.5, 0.1  # [m], [rad] that walls may move it by
-SURE = 0.98  # probability from which a place needs no further submaps that confirm it
 MOST_CLOSURES = 80  # places of one transform that are asked whether they confirm it
 
 
@@ -258,8 +257,7 @@ def _weighed(pair: Pair, ways: Sequence[Candidate], matches: Sequence[Hypothesis
     alike = pair.alike_for(best, len(held), max((c.votes for c in others), default=0))
     hold = grip(pair, best, alike) if best.seen.share >= alike and best.seen.alike >= cfg.least_seen else None
     grounds = _grounds(pair, best, rival, hold, _spread(held, b, best.transform) if held else 0.0)
-    sure = start is None and grounds.probability() >= SURE
-    if len(held) < needed and (sure or _certain(best, cfg)):
+    if len(held) < needed and grounds.probability() >= cfg.certain:
         checked += [(h, _closure(a, b, h, best, cfg, whole=True)) for h in best.members[:1]]
         held = [h for h, c in checked if c.accepted]
         needed = 1
@@ -305,11 +303,6 @@ def _grounds(pair: Pair, best: Candidate, rival: Candidate | None, hold: Grip | 
         held=0.0 if hold is None else hold.held,
         spread=spread,
     )
-
-
-def _certain(best: Candidate, cfg: MergeConfig) -> bool:
-    """Whether the whole maps alone tell that they lie so: much in common, and nothing amid free floor."""
-    return best.evidence(cfg.alike) >= cfg.certain and best.seen.clear >= cfg.clear
 
 
 def _why_refused(

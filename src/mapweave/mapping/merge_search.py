@@ -59,7 +59,7 @@ class MergeConfig:
     rival_alike: float = 0.85  # share of what both saw on which they agree there
     light: float = 0.6  # correlation of the walls' brightness from which on it tells places apart, and
     light_rival: float = 0.5  # of it, where another place has less it is as likely as a false start
-    certain: int = 140  # evidence of the whole maps, and fewer submaps need confirm
+    certain: float = 0.98  # probability from which no more submaps need confirm
     alike: float = 0.9  # share of what both saw on which they agree
     least_seen: int = 150  # points both saw
     held: float = 0.02  # information along the worst direction over that along the best
