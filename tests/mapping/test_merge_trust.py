@@ -10,7 +10,7 @@ from mapweave.mapping.merge_trust import LEAST, Grounds
 
 from ..laser.test_merge import office_pair
 
-STRONG = Grounds(900, 40, 0.99, 0.1, False, 0.2, 0.5, 0.06)
+STRONG = Grounds(0.99, 0.1, False, 0.2, 0.5, 0.06)
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +25,9 @@ def merge(pair):
 
 def test_a_merge_tells_what_it_rests_on_and_is_hardly_ever_wrong_where_all_speaks_for_it(merge):
     told = merge.grounds
-    assert told.alike / (told.alike + told.through) == pytest.approx(merge.alike)
+    assert merge.alike <= told.clear <= 1.0
+    assert told.rival == pytest.approx(0.0)
+    assert 0.0 < told.spread < 0.3
     assert merge.probability_wrong == pytest.approx(1.0 - told.probability())
     assert merge.probability_wrong < 0.03
     assert merge.row()["probability_wrong"] == merge.probability_wrong
@@ -55,7 +57,7 @@ def test_what_speaks_against_a_place_makes_it_less_likely():
     assert surest > 0.9
     for worse in (
         STRONG._replace(allowed=True, rival=0.9),
-        STRONG._replace(through=300, clear=0.8),
+        STRONG._replace(clear=0.8),
         STRONG._replace(spread=0.4),
         STRONG._replace(pushed=1.0, held=0.0),
     ):
@@ -63,7 +65,7 @@ def test_what_speaks_against_a_place_makes_it_less_likely():
 
 
 def test_no_decision_is_told_surer_than_trials_can_tell():
-    sure = STRONG._replace(alike=5000, clear=1.0, through=0, rival=0.0, pushed=0.0)
+    sure = STRONG._replace(clear=1.0, rival=0.0, pushed=0.0)
     assert sure.probability() <= 1.0 - LEAST
     assert Grounds().probability() >= LEAST
 

@@ -294,9 +294,9 @@ def _weighed(pair: Pair, ways: Sequence[Candidate], matches: Sequence[Hypothesis
 
 def _grounds(pair: Pair, best: Candidate, rival: Candidate | None, hold: Grip | None, spread: float) -> Grounds:
     """What the decision rests on, as numbers."""
-    seen, evidence = best.seen, max(pair.evidence(best), 1.0)
+    evidence = max(pair.evidence(best), 1.0)
     return Grounds(
-        *(seen.alike, seen.through, seen.clear),
+        clear=best.seen.clear,
         rival=0.0 if rival is None else float(np.clip(pair.evidence(rival) / evidence, 0.0, 1.0)),
         allowed=rival is not None and allowed(pair, rival, best),
         pushed=1.0 if hold is None else min(hold.pushed, 1.0),

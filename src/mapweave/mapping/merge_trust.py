@@ -12,23 +12,21 @@ from jaxtyping import Float
 UNCLEAR = 0.003  # of what both saw, added to the share that is not alike: half a point of a few hundred
 SLACK = 0.01  # added to what holds along the weakest direction, over what does across it
 LEAST = 0.002  # probability that is told: of a thousand pairs and more none or one tells less
-SIGNS = (0, 1, 1, -1, -1, -1, 1, -1)  # of what speaks for a place, and against it
+SIGNS = (0, 1, -1, -1, -1, 1, -1)  # of what speaks for a place, and against it
 # of the features, in their order, as `benchmarks/merge_trust.py --fit` found them
-WEIGHTS = (-1.522, 0.000, 1.266, -2.430, -5.663, -1.910, 0.754, -3.648)
+WEIGHTS = (-1.522, 1.266, -2.430, -5.663, -1.910, 0.754, -3.648)
 
 
 class Grounds(NamedTuple):
     """What a decision on two maps rests on.
 
-    alike, through: points of walls that the other robot saw too, and saw through; clear: share alike but for points
-    close to walls; rival: evidence of the next best transform over its own, 0 to 1; allowed: whether the maps may lie
-    so too; pushed: evidence when the maps are moved along the direction that holds them least, over its own, 0 to 1;
-    held: information along that over that across it; spread: [m] of the submaps that confirm the transform. How many
-    do tells nothing more, once these are known.
+    clear: of what both robots saw, the share alike but for points close to walls; rival: evidence of the next best
+    transform over its own, 0 to 1; allowed: whether the maps may lie so too; pushed: evidence when the maps are moved
+    along the direction that holds them least, over its own, 0 to 1; held: information along that over that across it;
+    spread: [m] of the submaps that confirm the transform. How many do, and how much both saw, tell nothing more once
+    these are known.
     """
 
-    alike: int = 0
-    through: int = 0
     clear: float = 0.0
     rival: float = 1.0
     allowed: bool = False
@@ -41,7 +39,6 @@ class Grounds(NamedTuple):
         return np.array(
             [
                 1.0,
-                math.log((self.alike + 1.0) / (self.through + 1.0)),
                 -math.log(1.0 - self.clear + UNCLEAR),
                 self.rival,
                 float(self.allowed),
