@@ -124,7 +124,7 @@ def draw_calibration(path: Path, calibration: IntensityCalibration) -> None:
         angle.set_xlabel("incidence [deg]")
         angle.set_ylabel("gain")
         sure = f" ± {calibration.exponent_sd:.2f}" if len(calibration.gain_sd) else ""
-        angle.set_title(f"Light over incidence, p = {calibration.exponent:.2f}{sure}")
+        angle.set_title(f"Incidence, p = {calibration.exponent:.2f}{sure}")
         spread = calibration.residual_by_range
         if len(spread) == len(calibration.knots):
             seen = spread > 0
