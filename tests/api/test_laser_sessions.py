@@ -218,10 +218,12 @@ def test_finished_results_are_fused_by_the_same_decision_as_one_run(sessions, lo
 
 @pytest.mark.slow
 def test_what_it_takes_to_merge_is_a_setting(sessions, tmp_path):
-    (tmp_path / "hard.toml").write_text("[laser.merge]\nvotes = 1000\ncertain = 1000000\n")
+    (tmp_path / "hard.toml").write_text("[laser.merge]\nsure = 0.9999\n")
     fused = mapweave.fuse(sessions / "both", config=tmp_path / "hard.toml")
     assert fused.metrics["components"] == [["both/robot1"], ["both/robot2"]]
-    assert "1000 are needed" in fused.metrics["fusion"][0]["reason"]
+    row = fused.metrics["fusion"][0]
+    assert row["reason"].startswith("too little overlap")
+    assert row["probability_wrong"] > 0.9  # it is refused although it is hardly in doubt
     (tmp_path / "wrong.toml").write_text("[laser.merge]\nvotings = 3\n")
     with pytest.raises(ConfigError, match=r"laser.merge.votings: unknown key"):
         mapweave.fuse(sessions / "both", config=tmp_path / "wrong.toml")

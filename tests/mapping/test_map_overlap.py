@@ -56,3 +56,35 @@ def test_a_wall_is_seen_or_seen_through_as_each_view_has_it():
     assert min(seen_here.sum(), gone_here.sum(), behind.sum()) > 0
     assert np.abs(seen - seen_here).sum() <= 2  # a direction on the border of two bins may fall to either
     assert np.abs(gone - gone_here).sum() <= 2
+
+
+def room_seen(gone: float) -> KeyframeMap:
+    """A room whose wall has, from the eighth view of twenty on, a gap as wide as `gone` [m], another wall behind it."""
+    angle = np.radians(np.arange(-60.0, 60.0, 1.0))
+    ray = np.column_stack([np.cos(angle), np.sin(angle)])
+    pose, points = [], []
+    for k in range(20):
+        x = 0.05 * k
+        hit = ray * ((3.0 - x) / ray[:, :1])
+        behind = ray * ((5.0 - x) / ray[:, :1])
+        open_there = (np.abs(hit[:, 1]) < 0.5 * gone) & (k >= 8)
+        pose.append([x, 0.0, 0.0])
+        points.append(np.where(open_there[:, None], behind, hit))
+    return KeyframeMap("1", np.array(pose), points)
+
+
+def test_walls_seen_through_are_as_wide_as_walls_and_a_map_knows_what_it_contradicts_of_itself():
+    still, door, bent = (room_seen(wide) for wide in (0.0, 0.9, 3.0))
+    assert (still.through, still.own) == (0.0, 0.0)
+    assert door.through == 0.0
+    assert bent.through > 0.1
+    assert 0.0 < door.own < bent.own
+
+
+def test_contradictions_as_wide_as_a_door_leave_a_place_walled():
+    still, door, bent = (room_seen(wide) for wide in (0.0, 0.9, 3.0))
+    door, bent = (KeyframeMap("2", m.pose[10:], m.points[10:]) for m in (door, bent))
+    narrow, wide = (seen_alike(still, m, np.zeros(3)) for m in (door, bent))
+    assert narrow.walled == 1.0 > narrow.share
+    assert wide.walled < 0.95
+    assert wide.clear <= wide.walled

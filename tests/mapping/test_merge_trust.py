@@ -10,7 +10,18 @@ from mapweave.mapping.merge_trust import LEAST, Grounds
 
 from ..laser.test_merge import office_pair
 
-STRONG = Grounds(0.99, 0.1, False, 0.2, 0.5, 0.06)
+STRONG = Grounds(
+    clear=0.99,
+    unlike=0.03,
+    walled=1.0,
+    own=0.02,
+    votes=8,
+    others=1,
+    rival=0.1,
+    allowed=False,
+    pushed=0.2,
+    held=0.5,
+)
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +38,6 @@ def test_a_merge_tells_what_it_rests_on_and_is_hardly_ever_wrong_where_all_speak
     told = merge.grounds
     assert merge.alike <= told.clear <= 1.0
     assert told.rival == pytest.approx(0.0)
-    assert 0.0 < told.spread < 0.3
     assert merge.probability_wrong == pytest.approx(1.0 - told.probability())
     assert merge.probability_wrong < 0.03
     assert merge.row()["probability_wrong"] == merge.probability_wrong
@@ -58,10 +68,24 @@ def test_what_speaks_against_a_place_makes_it_less_likely():
     for worse in (
         STRONG._replace(allowed=True, rival=0.9),
         STRONG._replace(clear=0.8),
-        STRONG._replace(spread=0.4),
+        STRONG._replace(unlike=0.3),
+        STRONG._replace(walled=0.8),
+        STRONG._replace(votes=1),
+        STRONG._replace(others=30),
         STRONG._replace(pushed=1.0, held=0.0),
     ):
         assert worse.probability() < surest
+
+
+def test_what_a_map_contradicts_of_itself_is_not_held_against_a_place():
+    crowded = STRONG._replace(unlike=0.2, walled=0.97)
+    assert crowded._replace(own=0.3).probability() > crowded._replace(own=0.0).probability()
+    assert STRONG._replace(own=0.3).probability() == pytest.approx(STRONG.probability(), abs=0.01)
+
+
+def test_a_place_alone_and_one_that_nothing_contradicts_are_surer():
+    doubted = STRONG._replace(allowed=True, unlike=0.3, walled=0.9, clear=0.8)
+    assert doubted.probability() < doubted.alone().probability() < doubted.alone().uncontradicted().probability()
 
 
 def test_no_decision_is_told_surer_than_trials_can_tell():

@@ -61,9 +61,9 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
         "walls-seen-through": FindingKind(
             "doubtful",
             "the robot saw through {value:.0f} % of the walls that it saw at other times, over widths no door has",
-            "That is more than doors and people explain: places are laid on each other that are not one, or walls are bent: "
-            "the robot was carried, or a building looks alike in several places; or the scanner pitches, outdoors and "
-            "over sills.",
+            "That is more than doors and people explain: places are laid on each other that are not one, or walls are "
+            "bent: the robot was carried, a building looks alike in several places, or the scanner pitches, outdoors "
+            "and over sills.",
             "Look for rooms that lie on each other in the map; give the parts of the log as logs of their own.",
         ),
         "segment-apart": FindingKind(

@@ -25,6 +25,7 @@ from .submaps import PlaceSubmap, PlaceSubmapConfig, extent, make_submap, middle
 OFTEN = 3  # views that show a wall, and that go through it: neither was somebody who walked by
 PATCH, BESIDE = 1.5, 0.45  # [m] wide at least are walls drawn twice, of points this near: doors and people are not
 SEEN_THROUGH = 0.025  # of the walls of a right map at most: 0.021 in 22 of 9 buildings; 0.03 and more in wrong ones
+TWICE = 2  # views that say something of a wall, from which on it counts in what a map says of itself
 VIEWS = 200  # keyframes whose views are asked for that
 MOST_BINS, LEAST_BINS = 360, 60  # directions of a keyframe's view, wider than its beams are apart
 FEW = 10  # walls within reach of a view that says nothing of them
@@ -63,7 +64,8 @@ class KeyframeMap:
     views: (n, bins) [m] of each keyframe the nearest return in each direction, infinite where there is none; cfg: how
     thin walls are and when they have a side; border: of each keyframe why a new segment begins there (none: nowhere
     one does); submaps: what it is recognised by, none over a border; through: share of its walls, those that
-    some views show, which other views go through over the width of a wall.
+    some views show, which other views go through over the width of a wall; own: share of its walls that more of its
+    views go through than show: people, and things that moved.
     """
 
     robot: str
@@ -79,6 +81,7 @@ class KeyframeMap:
     walls_side: Float[np.ndarray, "w 2"] = field(init=False, repr=False)
     views: Float[np.ndarray, "n bins"] = field(init=False, repr=False)
     through: float = field(init=False)
+    own: float = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pose", frozen(self.pose))
@@ -96,6 +99,8 @@ class KeyframeMap:
         seen, both = np.maximum(same, through) >= OFTEN, np.minimum(same, through) >= OFTEN
         object.__setattr__(self, "through", int(_patched(self.walls[both]).sum()) / max(int(seen.sum()), 1))
         lasting = same >= through
+        judged = same + through >= TWICE
+        object.__setattr__(self, "own", int((judged & ~lasting).sum()) / max(int(judged.sum()), 1))
         for name in ("walls", "walls_side", "walls_q"):
             if (values := getattr(self, name)) is not None:
                 object.__setattr__(self, name, frozen(values[lasting]))
@@ -158,12 +163,14 @@ class SeenAlike:
     """alike, through: points of both maps that the other robot saw as walls too, and that it saw through.
 
     clear: of what both saw, the share alike when points seen through close to the other's walls are left out: bent maps
-    and slanted views make such points, another place makes points amid free floor.
+    and slanted views make such points, another place makes points amid free floor; walled: the same when of those only
+    points count that stand in patches as wide as a wall: people and doors make others.
     """
 
     alike: int
     through: int
     clear: float = 0.0
+    walled: float = 0.0
 
     @property
     def share(self) -> float:
@@ -181,7 +188,7 @@ def seen_alike(
     one = _views_of_walls(a, b, transform, cfg)
     other = _views_of_walls(b, a, se2.inverse(transform), cfg)
     least = one if one.share <= other.share else other
-    return replace(least, clear=min(one.clear, other.clear))
+    return replace(least, clear=min(one.clear, other.clear), walled=min(one.walled, other.walled))
 
 
 def _views_of_walls(a: KeyframeMap, b: KeyframeMap, transform: np.ndarray, cfg: OverlapConfig) -> SeenAlike:
@@ -189,9 +196,11 @@ def _views_of_walls(a: KeyframeMap, b: KeyframeMap, transform: np.ndarray, cfg: 
     walls = se2.act(transform, b.walls)
     same, through = _judged(a, walls, b.walls_side @ se2.rotation(float(transform[2])).T, cfg)
     judged = same + through > 0
-    alike, unlike = judged & (same >= through), judged & (same < through)
-    away = int(np.sum(np.asarray(cKDTree(a.walls).query(walls[unlike])[0]) > cfg.close)) if unlike.any() else 0
-    return SeenAlike(int(alike.sum()), int(unlike.sum()), int(alike.sum()) / max(int(alike.sum()) + away, 1))
+    unlike = walls[judged & (same < through)]
+    away = unlike[np.asarray(cKDTree(a.walls).query(unlike)[0]) > cfg.close] if len(unlike) else unlike
+    alike = int(judged.sum()) - len(unlike)
+    clear, walled = (alike / max(alike + count, 1) for count in (len(away), int(_patched(away).sum())))
+    return SeenAlike(alike, len(unlike), clear, walled)
 
 
 def _judged(

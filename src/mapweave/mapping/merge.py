@@ -249,18 +249,16 @@ def _weighed(pair: Pair, ways: Sequence[Candidate], matches: Sequence[Hypothesis
         return Merge(a.robot, b.robot, False, f"no place fits there as well as elsewhere: {elsewhere}")
     checked = _closures(pair, best, matches)
     held = [h for h, c in checked if c.accepted]
-    needed = cfg.votes if start is None else cfg.known_votes
-    if len(held) >= needed:
+    if len(held) > 1:
         best = candidate(a, b, held, cfg)._replace(votes=best.votes)
+    pair = pair.levelled(best)
     others = [c for c in ways if not same_place(b, c.transform, best.transform, cfg)]
-    rival = max(others, key=lambda c: (allowed(pair, c, best), pair.evidence(c)), default=None)
-    alike = pair.alike_for(best, len(held), max((c.votes for c in others), default=0))
-    hold = grip(pair, best, alike) if best.seen.share >= alike and best.seen.alike >= cfg.least_seen else None
-    grounds = _grounds(pair, best, rival, hold, _spread(held, b, best.transform) if held else 0.0)
-    if len(held) < needed and grounds.probability() >= cfg.certain:
+    rival = max(others, key=lambda c: (allowed(pair, c, best), pair.against(c, best)), default=None)
+    hold = grip(pair, best) if best.seen.alike else None
+    grounds = _grounds(pair, best, others, rival, hold)
+    if start is None and not held and grounds.probability() >= cfg.sure:
         checked += [(h, _closure(a, b, h, best, cfg, whole=True)) for h in best.members[:1]]
         held = [h for h, c in checked if c.accepted]
-        needed = 1
     score = _score(held or best.members)
     merge = Merge(
         a.robot,
@@ -278,11 +276,11 @@ def _weighed(pair: Pair, ways: Sequence[Candidate], matches: Sequence[Hypothesis
         closures=tuple(c for _, c in checked),
         grounds=grounds if start is None else None,
     )
-    why = _why_refused(pair, merge, best, rival, needed, alike, hold)
+    why = _why_refused(pair, merge, best, rival, grounds, hold)
     if why:
         return replace(merge, reason=why, overlap=None if "too little overlap" in why else merge.overlap)
-    on = f"{len(held)} closures that agree within {grounds.spread:.2f} m"
-    if needed == 1:
+    on = f"{len(held)} closures that agree within {_spread(held, b, best.transform):.2f} m"
+    if len(held) == 1:
         on = f"the whole maps: {best.seen.alike} places of walls that both saw agree"
     reason = f"merged on {on}: {100 * best.seen.share:.0f} % of what both robots saw is alike"
     if any(pair.darkened(c) for c in ways):
@@ -292,42 +290,52 @@ def _weighed(pair: Pair, ways: Sequence[Candidate], matches: Sequence[Hypothesis
     )
 
 
-def _grounds(pair: Pair, best: Candidate, rival: Candidate | None, hold: Grip | None, spread: float) -> Grounds:
+def _grounds(
+    pair: Pair, best: Candidate, others: Sequence[Candidate], rival: Candidate | None, hold: Grip | None
+) -> Grounds:
     """What the decision rests on, as numbers."""
-    evidence = max(pair.evidence(best), 1.0)
-    return Grounds(
-        clear=best.seen.clear,
-        rival=0.0 if rival is None else float(np.clip(pair.evidence(rival) / evidence, 0.0, 1.0)),
+    return pair.grounds(best)._replace(
+        others=max((c.votes for c in others), default=0),
+        rival=0.0 if rival is None else pair.against(rival, best),
         allowed=rival is not None and allowed(pair, rival, best),
         pushed=1.0 if hold is None else min(hold.pushed, 1.0),
         held=0.0 if hold is None else hold.held,
-        spread=spread,
     )
 
 
 def _why_refused(
-    pair: Pair, merge: Merge, best: Candidate, rival: Candidate | None, needed: int, alike: float, hold: Grip | None
+    pair: Pair, merge: Merge, best: Candidate, rival: Candidate | None, grounds: Grounds, hold: Grip | None
 ) -> str:
     """The reason in words, empty when there is none; the most telling cause first.
 
-    hold: how it holds, None where what both saw is not alike enough or too little.
+    hold: how the place holds, None where the robots saw nothing in common.
     """
-    cfg, good = pair.cfg, hold is not None
-    if hold is not None and hold.slides(cfg):
+    cfg, seen = pair.cfg, best.seen
+    few = seen.alike < cfg.least_seen
+    if pair.start is None:
+        good, enough = (g.probability() >= cfg.sure and not few for g in (grounds.alone(), grounds))
+        contradicted = not good and grounds.alone().uncontradicted().probability() >= cfg.sure
+    else:
+        good, enough = seen.share >= cfg.known_alike and not few, merge.agreeing >= cfg.known_votes
+        contradicted = not good and seen.alike + seen.through >= cfg.least_seen
+    if good and hold is not None and hold.slides(cfg):
         return f"a corridor: {hold.along} is not held, the maps may slide along it"
     if good and rival is not None and doubtful(pair, best, rival):
         which = f"two places of {robot_name(pair.b.robot)} in the map of {robot_name(pair.a.robot)}"
         first, second = (f"{words(c.transform)}, {100 * c.seen.share:.0f} %" for c in (best, rival))
         return f"{which} fit equally well: {first} of what both saw is alike, and {second}"
-    if not good and best.seen.alike + best.seen.through >= cfg.least_seen:
+    if contradicted:
         what = f"{len(pair.b.submaps)} submaps"
         return (
             f"too little overlap: no place fits {what}; in the best, {robot_name(pair.b.robot)} at "
             f"{words(best.transform)} in the map of {robot_name(pair.a.robot)}, each robot saw "
-            f"through walls of the other ({100 * best.seen.share:.0f} % alike, {100 * alike:.0f} % are needed)"
+            f"through walls of the other ({100 * best.seen.share:.0f} % alike)"
         )
-    if not good or merge.agreeing < needed:
-        return f"too little overlap: {merge.agreeing} submaps agree on a place, {needed} are needed"
+    if not good or not enough:
+        return (
+            f"too little overlap: {merge.agreeing} submaps agree on a place, and both robots saw {best.seen.alike} "
+            "points of walls there"
+        )
     return ""
 
 

@@ -9,16 +9,17 @@ from jaxtyping import Float
 from ..core.names import robot_name
 from ..laser.place_search import LikelihoodField
 from .map_overlap import KeyframeMap, seen_alike
-from .merge_search import VOTE, Candidate, MergeConfig, Start
+from .merge_search import Candidate, MergeConfig, Start
+from .merge_trust import WEIGHTS, Grounds
 
-ALIKE_VOTE = 0.01  # less on which maps must agree for each further place that agrees, down to
-LEAST_ALIKE = 0.8  # of what both saw,
-LEAST_CLEAR = 0.94  # where that is alike but for points close to walls, and
-VOTES_LEAD = 2.5  # times as many submaps say so as say anything else
+LENIENT = 2.0  # times what the best place contradicts, at another place leaves no evidence
 
 
 class Pair(NamedTuple):
-    """Two maps, the walls of the first, a start that was given, and the most that brightness agrees at any place."""
+    """Two maps, the walls of the first, a start that was given, and the most that brightness agrees at any place.
+
+    level: share alike at which a place has no evidence, where it is less than the settings ask for.
+    """
 
     a: KeyframeMap
     b: KeyframeMap
@@ -26,21 +27,16 @@ class Pair(NamedTuple):
     cfg: MergeConfig
     start: Start | None = None
     light: float | None = None
+    level: float = 1.0
 
     @property
     def alike(self) -> float:
-        """Share of what both saw on which they must agree; near a start that was given less will do."""
-        return self.cfg.alike if self.start is None else self.cfg.known_alike
+        """Share of what both saw at which a place has no evidence; near a start that was given less will do."""
+        return min(self.cfg.alike if self.start is None else self.cfg.known_alike, self.level)
 
-    def alike_for(self, best: Candidate, agreeing: int, rivals: int) -> float:
-        """The same where so many places agree on the best transform, and `rivals` submaps at most on any other.
-
-        People and doors change what both saw and never where places lie; another building with rooms alike has as many
-        places elsewhere, and walls amid free floor.
-        """
-        if best.seen.clear < LEAST_CLEAR or best.votes < VOTES_LEAD * max(rivals, 1):
-            return self.alike
-        return max(self.alike - ALIKE_VOTE * max(0, agreeing - self.cfg.votes), min(self.alike, LEAST_ALIKE))
+    def levelled(self, best: Candidate) -> "Pair":
+        """The same pair, whose places may be contradicted about as much as the best: people walk, and maps bend."""
+        return self._replace(level=max(0.0, 1.0 - LENIENT * (1.0 - best.seen.share)))
 
     def evidence(self, c: Candidate) -> float:
         """For a transform: what both saw, and how likely the start and the brightness of the walls make it."""
@@ -50,12 +46,22 @@ class Pair(NamedTuple):
         likelihood = 1.0 if self.start is None else self.start.likelihood(c.transform, self.cfg)
         return seen * likelihood * (self.cfg.blunder if self.darkened(c) else 1.0)
 
-    def preference(self, c: Candidate) -> tuple[float, float]:
-        """Of transforms the greatest is asked: that of most evidence, or where every one is contradicted (people and
-        doors do that) the one that most places agree on.
-        """
-        evidence = self.evidence(c)
-        return max(evidence, 0.0), evidence + VOTE * c.votes
+    def against(self, rival: Candidate, best: Candidate) -> float:
+        """Evidence of another transform over that of the best, 0 to 1, less where fewer submaps say so."""
+        backed = min(1.0, (1 + rival.votes) / (1 + best.votes))
+        return float(np.clip(backed * self.evidence(rival) / max(self.evidence(best), 1.0), 0.0, 1.0))
+
+    def grounds(self, c: Candidate) -> Grounds:
+        """What a transform rests on were there no other, and were it held in every direction."""
+        seen = c.seen
+        own = max(self.a.own, self.b.own)
+        return Grounds(seen.clear, 1.0 - seen.share, seen.walled, own, c.votes).alone()
+
+    def preference(self, c: Candidate) -> float:
+        """Of transforms the greatest is asked: logarithm of its odds, and what a start and the brightness say of it."""
+        odds = float(self.grounds(c).features() @ np.asarray(WEIGHTS))
+        likelihood = 1.0 if self.start is None else self.start.likelihood(c.transform, self.cfg)
+        return odds + float(np.log(likelihood * (self.cfg.blunder if self.darkened(c) else 1.0)))
 
     def darkened(self, c: Candidate) -> bool:
         """Whether brightness speaks against a transform: walls that meet under it shine unlike, elsewhere alike."""
@@ -83,8 +89,7 @@ def allowed(pair: Pair, other: Candidate, best: Candidate) -> bool:
 
 def doubtful(pair: Pair, best: Candidate, rival: Candidate) -> bool:
     """Whether the maps might lie as `rival` says; what a start and brightness say is in its evidence."""
-    near = pair.cfg.lead * pair.evidence(rival) > pair.evidence(best)
-    return near or allowed(pair, rival, best)
+    return pair.cfg.lead * pair.against(rival, best) > 1.0 or allowed(pair, rival, best)
 
 
 class Grip(NamedTuple):
@@ -103,9 +108,9 @@ class Grip(NamedTuple):
         return self.held < cfg.held or cfg.push_lead * self.pushed > 1.0
 
 
-def grip(pair: Pair, best: Candidate, alike: float) -> Grip:
-    """How a place holds that is allowed. alike: share of what both saw on which they must agree."""
-    cfg = pair.cfg
+def grip(pair: Pair, best: Candidate) -> Grip:
+    """How a place holds that is allowed."""
+    cfg, alike = pair.cfg, pair.alike
     total = np.zeros((2, 2))
     for h in best.members:
         across = np.array([-h.fit.weak[1], h.fit.weak[0]])

@@ -27,7 +27,6 @@ from ..laser.robust_graph import RobustGraphConfig, solve_graph
 from .map_overlap import KeyframeMap, OverlapConfig, SeenAlike, lit_alike, seen_alike
 from .places import PlaceIndex, PlaceMatch, PlaceSearchConfig
 
-VOTE = 40.0  # points seen alike that a submap with a clear place counts as, where every transform is contradicted
 MOST_MATCHES = 250  # pairs of submaps that candidates are made of, those that fit best
 WALLS = 0.05  # [m] points of a whole map are means of squares this wide
 WHOLE = 1000  # points of a whole map that are searched with
@@ -39,8 +38,8 @@ class MergeConfig:
     agree: float = 0.6  # [m] and
     agree_turn: float = 0.1  # [rad] that hypotheses which agree may differ at each other's place
     candidates: int = 40  # transforms looked into
-    votes: int = 4  # submaps that confirm, at least
-    known_votes: int = 3  # at least, inside the window of a start that was given
+    sure: float = 0.9  # probability from which on maps are one
+    known_votes: int = 3  # submaps that confirm, at least, inside the window of a start that was given
     known_alike: float = 0.8  # share of what both saw on which they agree there,
     start_along: float = 1.0  # [m] sd, at most, of a start that alone holds maps along a corridor
     start_sds: float = 3.0  # standard deviations of a start within which it is looked for,
@@ -59,9 +58,8 @@ class MergeConfig:
     rival_alike: float = 0.85  # share of what both saw on which they agree there
     light: float = 0.6  # correlation of the walls' brightness from which on it tells places apart, and
     light_rival: float = 0.5  # of it, where another place has less it is as likely as a false start
-    certain: float = 0.98  # probability from which no more submaps need confirm
-    alike: float = 0.9  # share of what both saw on which they agree
-    least_seen: int = 150  # points both saw
+    alike: float = 0.9  # share of what both saw alike at which a place has no evidence
+    least_seen: int = 100  # points that both saw alike, at least
     held: float = 0.02  # information along the worst direction over that along the best
     slide: tuple[float, ...] = (0.8, 1.6, 3.0)  # [m] the map is pushed along its worst direction as a test
     ties_alike: float = 12.0  # submaps that confirm count as one measurement, since their errors are alike
