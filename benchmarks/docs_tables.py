@@ -80,7 +80,6 @@ TABLES = (
         "stdout",
     ),
     Table("logs of all kinds", "docs/laser.md", bench("places"), "stdout"),
-    Table("corrected logs", "docs/laser.md", bench("corrected_logs", "radish", "--cut", "2"), "stdout"),
     Table("changed logs", "docs/laser.md", bench("laser_variants"), "stdout"),
     Table("wheels and mounting", "docs/laser.md", bench("laser_calibration"), "stdout"),
     Table("pose graphs", "docs/laser.md", bench("solve"), "stdout"),
