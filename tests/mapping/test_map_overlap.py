@@ -81,6 +81,27 @@ def test_walls_seen_through_are_as_wide_as_walls_and_a_map_knows_what_it_contrad
     assert 0.0 < door.own < bent.own
 
 
+def test_legs_of_tables_that_some_views_show_are_no_walls():
+    """Thin things in rows and columns, each view shows some and goes through others; behind them stands a wall."""
+    rng = np.random.default_rng(3)
+    legs = np.stack(np.meshgrid(np.arange(2.0, 4.0, 0.4), np.arange(-1.0, 1.2, 0.4)), axis=-1).reshape(-1, 2)
+    angle = np.radians(np.arange(-60.0, 60.0, 1.0))
+    pose, points = [], []
+    for k in range(30):
+        at = np.array([0.05 * k, 0.0])
+        r = 6.0 / np.cos(angle) - at[0]
+        away = legs - at
+        for leg in np.flatnonzero(rng.random(len(legs)) < 0.5):
+            far, turn = np.hypot(*away[leg]), np.arctan2(away[leg, 1], away[leg, 0])
+            hit = np.abs(angle - turn) < np.radians(0.6)
+            r[hit] = np.minimum(r[hit], far)
+        pose.append([*at, 0.0])
+        points.append(np.column_stack([r * np.cos(angle), r * np.sin(angle)]))
+    made = KeyframeMap("1", np.array(pose), points)
+    assert made.own > 0.02
+    assert made.through < 0.015
+
+
 def test_contradictions_as_wide_as_a_door_leave_a_place_walled():
     still, door, bent = (room_seen(wide) for wide in (0.0, 0.9, 3.0))
     door, bent = (KeyframeMap("2", m.pose[10:], m.points[10:]) for m in (door, bent))
