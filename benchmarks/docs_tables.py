@@ -65,7 +65,7 @@ TABLES = (
     Table(
         "merge trust",
         "docs/laser-teams.md",
-        bench("merge_trust", "--trials", "360", "--seed", "700000", "--page", "{page}"),
+        bench("merge_trust", "--trials", "200", "--seed", "800000", "--page", "{page}"),
         "page",
     ),
     Table("live", "docs/live.md", bench("live", "--out", "docs/images"), "stdout"),
