@@ -24,9 +24,7 @@ from .submaps import PlaceSubmap, PlaceSubmapConfig, extent, make_submap, middle
 
 OFTEN = 3  # views that show a wall, and that go through it: neither was somebody who walked by
 PATCH, BESIDE = 1.5, 0.45  # [m] wide at least are walls drawn twice, of points this near: doors and people are not
-SEEN_THROUGH = (
-    0.015  # of the walls of a right map at most: 0.011 in 30 of 31 of 9 buildings, more in 50 of 55 bent ones
-)
+SEEN_THROUGH = 0.015  # of the walls of a right map at most: 30 of 31 real ones have 0.011; 50 of 55 bent ones more
 TWICE = 2  # views that say something of a wall, from which on it counts in what a map says of itself
 VIEWS = 200  # keyframes whose views are asked for that
 MOST_BINS, LEAST_BINS = 360, 60  # directions of a keyframe's view, wider than its beams are apart

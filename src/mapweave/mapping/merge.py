@@ -1,8 +1,8 @@
 """Two robots' laser maps made one, whose starts nobody knows, or refused with the reason.
 
 Submaps of one are searched for in those of the other, and places that agree make a transform. The maps become one when
-under it what one robot saw through is not where the other saw walls, enough places confirm it or the walls leave no
-doubt, no other transform is allowed, and it is held in every direction.
+what speaks for it and against it makes it probable enough, no other transform is allowed, and it is held in every
+direction.
 """
 
 from collections.abc import Sequence

@@ -65,7 +65,10 @@ class Grounds(NamedTuple):
         )
 
     def probability(self, weights: Sequence[float] = WEIGHTS) -> float:
-        """That the maps lie within 0.5 m and 5 degrees of the best transform; never surer than the trials can tell."""
+        """That the maps lie as the best transform has them, never surer than the trials can tell.
+
+        To 0.5 m and 5 degrees in simulated buildings; where maps of real ones meet, which are bent, to 2 m and 7.
+        """
         odds = np.clip(self.features() @ np.asarray(weights), -50.0, 50.0)
         return float(np.clip(1.0 / (1.0 + math.exp(-odds)), LEAST, 1.0 - LEAST))
 
