@@ -92,6 +92,30 @@ def test_a_log_of_which_a_stretch_is_gone_is_joined_by_places(whole, where):
     assert not codes & {"segment-apart", "gap-disputed"}
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("turn", [-1.35, 1.35])
+def test_a_single_scan_that_wheels_know_nothing_of_is_placed_by_what_came_before(whole, turn):
+    log, known = whole
+    rows = list(range(0, len(log.scans), 4))
+    at = 4 * (len(rows) // 2)
+    one = log.scans[at]
+    shift = round(turn / one.angle_increment)
+    k = np.arange(len(one.ranges)) + shift
+    seen = (k >= 0) & (k < len(k))
+    k = np.clip(k, 0, len(k) - 1)
+    turned = replace(one, ranges=np.where(seen, one.ranges[k], one.range_max), hit=one.hit[k] & seen)
+    scans = tuple(turned if row == at else log.scans[row] for row in rows)
+    sparse = replace(log, scan_t=log.scan_t[rows], scans=scans, log_hash=f"turned {turn}")
+    made = mapweave.map([sparse])
+    true = se2.compose(places(known, log.scan_t[at : at + 1])[0], np.array([0.0, 0.0, shift * one.angle_increment]))
+    error = se2.between(true, places(made, log.scan_t[at : at + 1])[0])
+    assert {f.code for f in made.findings} >= {"track-cut"}
+    assert np.hypot(*error[:2]) < 0.15
+    assert abs(se2.wrap_angle(error[2])) < 0.05
+    rest = np.delete(sparse.scan_t, at // 4)
+    assert off(made, rest, places(known, rest)) < 0.15
+
+
 def carried(log, share):
     """The log without what was driven from `share` to `share` of it, wheels and all; and when each scan truly was."""
     first, last = (int(at * len(log.scans)) for at in share)

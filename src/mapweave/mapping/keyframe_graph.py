@@ -272,9 +272,33 @@ class KeyframeGraph:
             self.closures[k] = replace(c, accepted=n not in why, nis=float(nis[n]), reason=reason)
         self.pose = np.array(decided.graph.pose)
         self.solve()
+        if self._hold_alone():
+            self.solve()
         while (elsewhere := self._carried()) is not None:
             self.loose |= {elsewhere}
             self.solve()
+
+    def _hold_alone(self) -> bool:
+        """Segments that no place holds are held by the one that lies where the steps over their borders may lead.
+
+        Nothing but such a step contradicts it. Returns whether there are any.
+        """
+        if len(self.of) > 1:
+            return False
+        cuts = [i for i, node in enumerate(self.nodes) if i and node.border]
+        ends = np.array([(c.first, c.second) for c in self.closures], dtype=np.int64).reshape(-1, 2)
+        low, high = np.searchsorted(np.array(cuts, dtype=np.int64), np.sort(ends, axis=1), side="right").T
+        held = {s for k, c in enumerate(self.closures) if c.accepted and low[k] < high[k] for s in (low[k], high[k])}
+        found = False
+        for n, c in enumerate(self.closures):
+            if c.accepted or low[n] + 1 != high[n] or c.reason.startswith(ELSEWHERE) or {low[n], high[n]} <= held:
+                continue
+            off = se2.between(se2.between(self.pose[c.first], self.pose[c.second]), c.measured)
+            if off @ np.linalg.solve(self.nodes[cuts[low[n]]].cov, off) <= NEAR**2:
+                self.closures[n] = replace(c, accepted=True, reason=_agrees(c.share, c.nis or 0.0))
+                held |= {low[n], high[n]}
+                found = True
+        return found
 
     def _carried(self) -> int | None:
         """The keyframe after a border whose step the places that hold contradict most; first where nothing matched.

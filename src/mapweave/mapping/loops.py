@@ -7,13 +7,13 @@ import numpy as np
 
 from ..core import se2
 from .keyframe_graph import KeyframeGraph
-from .places import PlaceIndex, PlaceMatch
+from .places import PlaceIndex, PlaceMatch, PlaceSearchConfig
 from .submaps import TURN_WAY, PlaceSubmapConfig, extent, make_submap, middles
 
 # what will do of a submap in the one before it, over a border between segments: correlation of headings, likelihood,
-# share of points on walls, points that hold it
-BORDER = {"least_heading": 0.0, "least_score": 0.35, "least_share": 0.45, "least_held": 30.0}
-BORDER_SDS = 2.0  # standard deviations of the step over it from where that puts it
+# share of points on walls, points that hold it, another place as likely if it is not where the step over it may lead
+BORDER = PlaceSearchConfig(least_heading=0.0, least_score=0.35, least_share=0.45, least_held=12.0)
+BORDER_SDS = 3.0  # standard deviations from where the step over it puts it, by all three coordinates together
 
 
 class Loop(NamedTuple):
@@ -85,18 +85,24 @@ class LoopFinder:
         return found
 
     def _over_border(self, graph: KeyframeGraph, number: int) -> list[PlaceMatch]:
-        """The first submap of a segment in the one before it, where less will do if it lies where the step puts it."""
+        """The first submap of a segment in the one before it, where less will do if it lies where the step puts it.
+
+        The smaller of the two is looked for in the other: of what a single scan sees most is in the submap before it.
+        """
         before, new = self.anchors[number - 1], self.anchors[number]
         last, border = graph.nodes[self.segment - 1], graph.nodes[self.segment]
         ahead = se2.compose(se2.between(graph.nodes[before].local, last.local), border.step)
         step = se2.compose(ahead, se2.between(border.local, graph.nodes[new].local))
-        sd = BORDER_SDS * np.sqrt(np.diag(border.cov))
-        rules = replace(self.index.cfg, **BORDER)
-        return [
-            m
-            for m in self.index.search(number, [number - 1], rules=rules)
-            if (np.abs(se2.between(step, m.measured)) <= sd).all()
-        ]
+        sd = np.sqrt(np.diag(border.cov))
+        old, own = (len(self.index.submaps[k].points) for k in (number - 1, number))
+        if old <= own:
+            found = self.index.search(number, [number - 1], every=True, rules=BORDER)
+        else:
+            found = [m.inverse() for m in self.index.search(number - 1, [number], every=True, rules=BORDER)]
+        off = [se2.between(step, m.measured) / sd for m in found]
+        there = [m for m, e in zip(found, off, strict=True) if e @ e <= BORDER_SDS**2]
+        held = [m for m in there if m.share >= BORDER.least_share and m.held[0] >= BORDER.least_held]
+        return held if len(there) == 1 else []
 
     def _apart(self, anchor: int, first: int) -> bool:
         """Whether an old submap shares no way with one that begins with keyframe `first`."""

@@ -86,6 +86,18 @@ class PlaceMatch:
     def information(self) -> Float[np.ndarray, "3 3"]:
         return symmetrise(np.linalg.inv(self.covariance))
 
+    def inverse(self) -> "PlaceMatch":
+        """The same place with the two submaps changing parts."""
+        A = adjoint(self.measured)
+        return replace(
+            self,
+            first=self.second,
+            second=self.first,
+            measured=se2.inverse(self.measured),
+            covariance=symmetrise(A @ self.covariance @ A.T),
+            weak=se2.rotation(float(self.measured[2])).T @ self.weak,
+        )
+
 
 class PlaceIndex:
     """Submaps of any robots, each searched for in those that came later. `add` changes it."""
