@@ -38,7 +38,8 @@ def main() -> int:
     # one thread a process: the workers share the cores; shapes are checked at run time where everything is
     environ = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MPLBACKEND": "Agg"}
     environ["MAPWEAVE_TYPECHECK"] = "1" if "--all" in more else "0"
-    environ |= os.environ
+    environ["PYTHONPYCACHEPREFIX"] = str(home / "byte-code")  # made once for all processes, and beside no source
+    environ |= {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     return subprocess.run([str(python), "-m", "pytest", *words, *more], cwd=HERE, env=environ, check=False).returncode
 
 
