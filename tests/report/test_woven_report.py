@@ -13,10 +13,12 @@ from mapweave.laser.pose_graph import PoseGraph
 from mapweave.laser.robot_graph import RobotGraph
 from mapweave.mapping.merge import Merge
 from mapweave.mapping.woven_map import ClosureRow, WovenMap
+from mapweave.report import style
 from mapweave.report.laser import MOST_PARTS, write_laser_report
 from mapweave.report.style import PALETTE
 from mapweave.report.woven import MOST_PICTURES, robot_colour, truths_in
 
+from ..conftest import save_a_dot
 from ..io.made_laser_map import made_laser_map
 
 T = np.array([0.5, -0.3, 0.2])
@@ -139,7 +141,8 @@ def test_robots_and_closures_are_drawn_in_colours_of_their_own(page):
 
 
 @pytest.mark.slow
-def test_of_many_pairs_the_page_shows_some_and_counts_the_others(woven, tmp_path):
+def test_of_many_pairs_the_page_shows_some_and_counts_the_others(woven, tmp_path, monkeypatch):
+    monkeypatch.setattr(style, "save", save_a_dot)
     maps, components, merges = woven
     many = (merges[0],) * (MOST_PICTURES + 3)
     write_laser_report(tmp_path, maps, {}, [], components, many)
@@ -149,7 +152,8 @@ def test_of_many_pairs_the_page_shows_some_and_counts_the_others(woven, tmp_path
 
 
 @pytest.mark.slow
-def test_of_many_robots_the_page_holds_some_and_a_row_of_each(woven, tmp_path):
+def test_of_many_robots_the_page_holds_some_and_a_row_of_each(woven, tmp_path, monkeypatch):
+    monkeypatch.setattr(style, "save", save_a_dot)  # pictures are counted
     maps, components, _ = woven
     many = [replace(maps[0], robot=str(k)) for k in range(1, MOST_PARTS + 4)]
     one = replace(components[0], robots=tuple(m.robot for m in many), tracks={m.robot: m.track for m in many})
