@@ -2,7 +2,6 @@
 
 import signal
 import subprocess
-import sys
 import threading
 import time
 
@@ -18,14 +17,6 @@ from .bad_network import LossyRelay, Relay, ip, lossy, two_namespaces
 from .processes import free_endpoint, same_result
 
 pytestmark = pytest.mark.drawn
-
-
-@pytest.fixture(scope="module")
-def direct(source):
-    out = source.parent / "direct"
-    command = [sys.executable, "-m", "mapweave", "map", str(source), "--out", str(out)]
-    subprocess.run(command, check=True, capture_output=True, timeout=120)  # noqa: S603
-    return out
 
 
 @pytest.mark.slow

@@ -4,18 +4,9 @@ import time
 
 import pytest
 
-from mapweave.api.map import map as map_logs
-
 from .processes import same_result
 
 pytestmark = pytest.mark.drawn
-
-
-@pytest.fixture(scope="module")
-def direct(source):
-    folder = source.parent / "direct"
-    map_logs(source, folder)
-    return folder
 
 
 @pytest.mark.slow
