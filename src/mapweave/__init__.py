@@ -26,8 +26,9 @@ Verbs, each with its options in `help(mapweave.map)` and so on:
     doctor                  what bends a map, its evidence and what mends it; a check of the installation
     self_test               every kind of job tried on simulated data
 
-`LandmarkSlam` and `LaserSlam` map one robot while it drives; `LiveLaser` is one of a live team. The other names are the
-results that verbs give, their options and settings, and the errors they raise. Each is imported when it is first used.
+`LandmarkSlam` and `LaserSlam` map one robot while it drives, `Localizer` finds it in a finished map; `LiveLaser` is one
+of a live team. The other names are the results that verbs give, their options and settings, and the errors they raise.
+Each is imported when it is first used.
 """
 
 import re

@@ -29,6 +29,7 @@ from .api.live import live_robots as live_robots
 from .api.live_ros2 import RosOptions as RosOptions
 from .api.live import live_view as live_view
 from .api.result import load as load
+from .api.localize import Localizer as Localizer
 from .api.localize import LocalizeJobConfig as LocalizeJobConfig, LocalizeResult as LocalizeResult, localize as localize
 from .api.locate import LocateConfig as LocateConfig, locate as locate
 from .api.located import Located as Located

@@ -145,6 +145,84 @@ def test_scores_against_the_truth_are_not_aligned(world):
     assert score_start(found, moved).position_rmse == pytest.approx(2.0)
 
 
+@pytest.mark.parametrize("lit", [True, False])
+def test_scans_handed_over_one_by_one_are_placed_as_those_of_their_log(world, lit):
+    import mapweave
+
+    log = along(5.0, 7.0).log
+    if not lit:
+        log = replace(log, scans=tuple(replace(scan, intensities=None) for scan in log.scans))
+    where = mapweave.Localizer(world / "map", start=(5.0, 0.0, 0.0), seed=3)
+    assert where.doubt() == "the start was not found"
+    assert np.isinf(where.pose.cov).all()
+    poses = []
+    for t, scan in zip(log.scan_t, log.scans, strict=True):
+        told = {"odometry": scan.odometry, "range_max": scan.range_max, "sensor_pose": scan.T_robot_sensor}
+        pose, cov = where.add_scan(t, scan.ranges, scan.angles(), intensities=scan.intensities, **told)
+        poses.append(pose)
+        assert np.linalg.eigvalsh(cov).min() > 0
+    assert where.found
+    assert where.doubt() == ""
+    whole = localize(log, world / "map", start=(5.0, 0.0, 0.0), seed=3).localisation
+    placed = np.flatnonzero(np.array(whole.scans.decision) == "matched")
+    np.testing.assert_allclose(np.array(poses)[placed], whole.scans.pose[placed], atol=1e-9)
+    with pytest.raises(mapweave.DataError, match="expected a stamp after the last"):
+        where.add_scan(log.scan_t[0], scan.ranges, scan.angles(), odometry=scan.odometry, intensities=scan.intensities)
+
+
+def test_a_localizer_says_what_map_or_start_cannot_be(world, tmp_path):
+    import mapweave
+
+    with pytest.raises(UsageError, match=r"--start: expected x,y,theta, found 1.0, nan, 0.0"):
+        mapweave.Localizer(world / "map", start=(1.0, float("nan"), 0.0))
+    (tmp_path / "bare.pgm").write_bytes(b"P5\n4 4\n255\n" + bytes([254] * 16))
+    (tmp_path / "bare.yaml").write_text("image: bare.pgm\nresolution: 0.1\norigin: [0, 0, 0]\n")
+    with pytest.raises(mapweave.DataError, match="no cell of the map is occupied"):
+        mapweave.Localizer(tmp_path / "bare.yaml")
+    (tmp_path / "bare.pgm").write_bytes(b"P5\n4 4\n255\n" + bytes(16))
+    with pytest.raises(mapweave.DataError, match="no free place"):
+        mapweave.Localizer(tmp_path / "bare.yaml")
+
+
+def turned_yaml(folder, turn):
+    """`folder/map.yaml` seen from a frame that is turned and moved, and the pose of the old frame in it."""
+    text = (folder / "map.yaml").read_text()
+    x, y, _ = json.loads(text.split("origin: ")[1].splitlines()[0])
+    T = np.array([3.0, -2.0, turn])
+    origin = se2.compose(T, np.array([x, y, 0.0]))
+    lines = [f"origin: {origin.tolist()}" if line.startswith("origin") else line for line in text.splitlines()]
+    (folder / "turned.yaml").write_text("\n".join(lines))
+    return folder / "turned.yaml", T
+
+
+def test_a_robot_is_followed_in_the_map_of_a_map_server_whatever_its_heading(world):
+    truth = read_tum(world / "second.truth.tum")
+    for turn in (0.0, 0.7):
+        path, T = turned_yaml(world / "map", turn)
+        start = se2.compose(T, np.array([5.0, 0.0, 0.0]))
+        there = Track(truth.t, se2.compose(T, truth.pose))
+        found = localize(world / "second.mcap", path, start=start.tolist(), truth=there)
+        assert (found.localisation.feature, found.score.right) == ("none", True)
+        back = se2.compose(se2.inverse(T), found.localisation.track.pose)
+        across = back[:, 1] - se2.interpolate(found.localisation.track.t, truth.t, truth.pose)[:, 1]
+        assert np.abs(across).max() < 0.15  # along itself a bare corridor holds nobody
+
+
+@pytest.mark.slow
+def test_a_robot_is_found_in_the_floor_that_another_program_mapped(data, tmp_path):
+    import gzip
+
+    name = "mac_1st_floor_final"
+    (tmp_path / "map.yaml").write_text((data / "bags" / f"{name}.yaml").read_text())
+    (tmp_path / f"{name}.pgm").write_bytes(gzip.decompress((data / "bags" / f"{name}.pgm.gz").read_bytes()))
+    own = map_logs(data / "bags" / "turtlebot4.db3").maps[0].track
+    found = localize(data / "bags" / "turtlebot4.db3", tmp_path / "map.yaml").localisation
+    assert found.found_t is not None
+    pose = se2.interpolate(found.track.t, own.t, own.pose)[:, :2]
+    off = se2.act(se2.align(pose, found.track.pose[:, :2]), pose) - found.track.pose[:, :2]
+    assert np.sqrt((off**2).sum(axis=1).mean()) < 0.05
+
+
 def test_a_start_may_begin_with_a_minus(world, capsys):
     words = ["localize", str(world / "second.mcap"), "--map", str(world / "map"), "--out", str(world / "minus")]
     assert _run([*words, "--start", "-0.5,0,0", "--sensor-pose", "-0.1,0,0"]) == 0

@@ -117,3 +117,21 @@ def test_a_map_that_is_turned_has_its_cells_where_it_says_they_are(tmp_path):
     assert found.free(se2.act(T, inside)).tolist() == [True, True, False, True, False, False, False]
     edge = read_ros_map(put(tmp_path, YAML, pixels))
     assert edge.free(np.array([[4.0, 3.0], [1.0, 4.0], [1.0, 2.0]])).tolist() == [False, False, True]
+
+
+def test_the_cells_of_a_turned_map_stand_upright_where_it_says_they_are(tmp_path):
+    pixels = np.full((40, 60), 254, dtype=np.uint8)
+    pixels[:, [0, -1]] = pixels[[0, -1]] = 0
+    pixels[5:9, 5:9] = 205
+    found = read_ros_map(put(tmp_path, YAML.replace("[1.0, 2.0, 0.0]", "[1.0, 2.0, 0.3]"), pixels))
+    grid = found.grid()
+    walls = grid.cells()[:, :2]
+    assert np.hypot(*(walls[:, None] - found.occupied()).transpose(2, 0, 1)).min(axis=1).max() < 0.5
+    assert np.hypot(*(walls[:, None] - found.occupied()).transpose(2, 0, 1)).min(axis=0).max() < 0.5
+    states = grid.to_numpy()
+    row, col = np.nonzero(states == 0)
+    assert found.free(grid.origin + 0.5 * (np.column_stack([col, row]) + 0.5)).all()
+    assert (states == 0).sum() == pytest.approx((found.state == 0).sum(), rel=0.05)
+    np.testing.assert_array_equal(
+        read_ros_map(put(tmp_path, YAML, pixels)).grid().to_numpy(), np.where(found.state == 1, 100, found.state)
+    )

@@ -2,8 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from ..core.config import load
 from ..core.errors import ReaderError, UsageError
 from ..core.laser_log import LaserLog
 from ..core.paths import AnyConfig, is_path, path_arguments, path_of
-from ..core.records import Track
+from ..core.records import Scan, Track
 from ..core.run import robot_rng
 from ..core.version import __version__
 from ..core.workers import Progress, no_progress, one_blas_thread
@@ -21,13 +22,17 @@ from ..io.directory import check_target, write_json
 from ..io.laser_arrays import laser_log_of
 from ..io.laser_logs import LaserSource, read_laser
 from ..io.laser_map import NAME, read_grid, write_scans
+from ..io.laser_stream import NOWHERE, LaserStream, Numbers
+from ..io.ros_map import YAML_SUFFIXES, read_ros_map
 from ..io.table import Columns, columns_of
 from ..io.tum import read_tum, write_tum
 from ..laser.beam import IntensityCalibration
+from ..laser.config import GEOMETRY, Feature
 from ..laser.laser_map import GridMap
-from ..laser.localise import Localisation, localise
+from ..laser.localise import Localisation, MapFollower, localise
 from ..laser.localise_filter import LocaliseConfig
 from ..laser.localise_trust import Evidence
+from ..laser.scan_odometry import PoseEstimate
 from ..mapping.config import LaserConfig
 from ..report.localize import localisation_scene, write_localisation_report
 from ..report.result import ResultBase, Rows
@@ -137,6 +142,111 @@ class LocalizeResult(ResultBase):
         ]
 
 
+class Localizer:
+    """Where a robot is in a finished map while it drives, by the code that `localize` runs on a log.
+
+    Feed it with `add_scan`. Poses are [x, y, theta] [m, m, rad] in the map's frame. Before the place is found
+    (`found`) they are those of the likeliest hypothesis, and their covariance is that of all. Scans are not kept, but
+    for the last that the evidence is taken from.
+
+    Parameters
+    ----------
+    map
+        As for `localize`: what `map` wrote for one robot, its result, or a `map.yaml`.
+    start
+        The robot's first pose in the map [m, m, rad] (searched everywhere).
+    config
+        Settings as `configuration("localize")` prints them (the defaults).
+    seed
+        Of everything drawn at random (0).
+
+    Raises
+    ------
+    ReaderError
+        For a map that is missing or damaged; DataError for one without walls or free places.
+    ConfigError
+        For settings that cannot be; UsageError for a start that is no pose.
+
+    Examples
+    --------
+    >>> drive = simulate_laser(world=CorridorConfig(distance=6.0), seed=1)
+    >>> where = Localizer(map(drive.log, method="gated"), start=(0.0, 0.0, 0.0))
+    >>> for t, scan in zip(drive.log.scan_t, drive.log.scans):
+    ...     pose, cov = where.add_scan(t, scan.ranges, scan.angles(), odometry=scan.odometry, range_max=scan.range_max)
+    >>> [round(float(x)) for x in pose[:2]], where.found
+    ([6, 0], True)
+    """
+
+    def __init__(
+        self,
+        map: Path | str | LaserResult,  # noqa: A002  (as of `localize`)
+        *,
+        start: Sequence[float] | None = None,
+        config: AnyConfig | None = None,
+        seed: int = 0,
+    ) -> None:
+        place = _start(start)
+        grid, calibration, feature = _read_map(map)
+        settings = load(LocalizeJobConfig, config)
+        settings.laser.check()
+        self._begun = partial(
+            MapFollower, grid, cfg=settings.laser, start=place, rng=robot_rng(seed, "1"), how=settings.localize
+        )
+        self._follower = self._begun(GEOMETRY if calibration is None else Feature(feature, calibration))
+        self._stream = LaserStream()
+
+    @one_blas_thread()
+    def add_scan(
+        self,
+        t: float,
+        ranges: Numbers,
+        angles: Numbers,
+        *,
+        odometry: Numbers | None = None,
+        intensities: Numbers | None = None,
+        range_max: float = float("inf"),
+        sensor_pose: Numbers = NOWHERE,
+    ) -> PoseEstimate:
+        """Where the robot is at this scan, and the covariance of that; arguments and errors as `LaserSlam.add_scan`.
+
+        Intensities are used where the map has light; without any the robot is followed by geometry alone.
+        """
+        event = self._stream.add(
+            t,
+            ranges,
+            angles,
+            odometry=odometry,
+            intensities=intensities,
+            range_max=range_max,
+            sensor_pose=sensor_pose,
+        )
+        count = len(self._stream)
+        if count == 1 and intensities is None:
+            self._follower = self._begun(GEOMETRY)
+        if count > 1:
+            self._stream.forget(range(count - 2, count - 1))
+        self._follower.push(cast("Scan", event.record))
+        return self.pose
+
+    @property
+    def pose(self) -> PoseEstimate:
+        """The pose at the latest scan and its covariance, which is infinite before a scan was placed."""
+        return PoseEstimate(self._follower.pose, self._follower.covariance)
+
+    @property
+    def found(self) -> bool:
+        """Whether the hypotheses have become one; they part again where the map explains too little of the scans."""
+        return self._follower.found_row is not None
+
+    @one_blas_thread()
+    def doubt(self) -> str:
+        """Why the place is not to be trusted, empty where it is: the last scans against the map, and elsewhere in it.
+
+        Other places are searched for in the whole map: ask once in a while, not at every scan.
+        """
+        return self._follower.doubt(self._follower.evidence())
+
+
 @path_arguments
 @one_blas_thread()
 def localize(
@@ -162,7 +272,8 @@ def localize(
     log
         A laser log, as for `map`: a file, a `LaserLog` in memory, or scans in memory with the columns of `map(scans=)`.
     map
-        What `map` wrote for one robot, or its result.
+        What `map` wrote for one robot, or its result; or the `map.yaml` of a map as ROS navigation's map server reads
+        it, this program's own or another's: walls alone, in the frame that its `origin` tells.
     out
         The folder to write; an earlier result there is replaced whole.
     odometry
@@ -202,8 +313,7 @@ def localize(
     """
     if out is not None:
         check_target(Path(out), force=force, reads=(log, map, truth, config))
-    if start is not None and len(start) != 3:
-        raise UsageError(f"--start: expected x,y,theta, found {len(start)} numbers")
+    place = _start(start)
     if not isinstance(log, LaserLog | Mapping):
         log = path_of(log, "log", "a path, a LaserLog or scans in memory")
     drive = None if odometry is None else columns_of(odometry, "odometry")
@@ -215,7 +325,6 @@ def localize(
     cfg = settings.laser
     cfg.check()
     recording = _recording(log, drive, source)
-    place = None if start is None else np.array(start, dtype=float)
     wanted = asked.feature or feature
     if wanted not in {feature, "none"}:
         raise UsageError(f"--feature {wanted}: the map holds {feature}")
@@ -252,8 +361,18 @@ def score_start(localisation: Localisation, truth: Track) -> StartScore:
     )
 
 
+def _start(given: Sequence[float] | None) -> np.ndarray | None:
+    if given is None:
+        return None
+    if len(given) != 3 or not np.isfinite(np.array(given, dtype=float)).all():
+        raise UsageError(f"--start: expected x,y,theta, found {', '.join(map(str, given))}")
+    return np.array(given, dtype=float)
+
+
 def _read_map(given: object) -> tuple[GridMap, IntensityCalibration | None, str]:
-    """The map with its calibration and feature; one in memory as it would be read back."""
+    """The map with its calibration and feature; one in memory as it would be read back; a ROS map tells no light."""
+    if is_path(given) and (path := Path(str(given))).suffix.lower() in YAML_SUFFIXES and not path.is_dir():
+        return read_ros_map(path).grid(), None, "none"
     with result_folder(given, "map") as folder:
         return read_grid(_grid_path(folder))
 

@@ -20,8 +20,11 @@ from ..laser.occupancy import Occupancy
 from .table import open_text
 
 UNKNOWN, FREE, OCCUPIED = -1, 0, 1
+YAML_SUFFIXES = frozenset({".yaml", ".yml"})
 KEYS = ("image", "resolution", "origin")
 LARGEST = 1e9  # [m or m a pixel]: what a map says is less
+SEEN = 10  # beams that a cell known to be free or occupied counts as
+WHOLE = 1e-6  # of a cell: rounding by which a raster's width is not a cell more
 BLACK, GREY, WHITE = 0, 205, 254
 PLAIN = re.compile(r"[A-Za-z][\w.-]*")  # names that YAML takes for text as they are
 
@@ -50,6 +53,25 @@ class RosMap:
         out = np.zeros(len(points), dtype=bool)
         out[inside] = self.state[row[inside], col[inside]] == FREE
         return out
+
+    def grid(self) -> GridMap:
+        """The same cells as a map that scans made, upright whatever the heading: `SEEN` beams each, returned from the
+        centres of those occupied and gone through those free.
+        """
+        lower, upper = self.extent()
+        cols, rows = np.maximum(1, np.ceil((upper - lower) / self.resolution - WHOLE)).astype(int)
+        hits, passes = np.zeros((2, rows, cols), np.int32)
+        row, col = np.indices((rows, cols)).reshape(2, -1)
+        centres = lower + self.resolution * (np.column_stack([col, row]) + 0.5)
+        passes[row, col] = np.where(self.free(centres), SEEN, 0)
+        mean, count = np.zeros((rows, cols, 2)), np.zeros((rows, cols))
+        walls = self.occupied()
+        col, row = np.clip(np.floor((walls - lower) / self.resolution).astype(int), 0, [cols - 1, rows - 1]).T
+        np.add.at(mean, (row, col), walls)
+        np.add.at(count, (row, col), 1.0)
+        mean[count > 0] /= count[count > 0][:, None]
+        hits[count > 0], passes[count > 0] = SEEN, 0
+        return GridMap(self.resolution, lower, hits, passes, mean, np.zeros((rows, cols)), count)
 
     def occupied(self) -> Float[np.ndarray, "n 2"]:
         """The centres [m] of occupied cells in the map, row by row."""
@@ -177,7 +199,7 @@ def write_ros_map(folder: Path, grid: GridMap, georeference: Mapping[str, Any] |
 
 def save_grid(grid: GridMap, path: Path) -> None:
     """`path`, a .yaml, and the picture beside it; raises UsageError for another suffix."""
-    if path.suffix.lower() not in {".yaml", ".yml"}:
+    if path.suffix.lower() not in YAML_SUFFIXES:
         raise UsageError(f"{path}: expected a name that ends in .yaml, beside which the picture goes")
     _write_picture(path, trinary(grid), grid.resolution, grid.origin)
 

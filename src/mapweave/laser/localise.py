@@ -1,6 +1,7 @@
 """A robot followed in a finished map: searched everywhere, then tracked by particles that share the one map."""
 
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from time import perf_counter
 
@@ -11,14 +12,21 @@ from ..core import se2
 from ..core.errors import DataError
 from ..core.findings import Finding
 from ..core.laser_log import LaserLog
-from ..core.records import Track
-from ..core.rows import RowBuffer
+from ..core.records import Scan, Track
 from ..core.workers import Progress
 from .beam import Beams, beams
 from .config import Feature, LaserTrackingConfig, weighed
 from .laser_map import GridMap, IntensityCalibration, ScanInfos, ScanRecords
 from .likelihood_field import nearest_field
-from .localise_filter import LOCALISE_BEAMS, LOCALISE_DOUBTS, UPDATE_DISTANCE, UPDATE_TURN, LocaliseConfig, PlaceFilter
+from .localise_filter import (
+    FREE_PASSES,
+    LOCALISE_BEAMS,
+    LOCALISE_DOUBTS,
+    UPDATE_DISTANCE,
+    UPDATE_TURN,
+    LocaliseConfig,
+    PlaceFilter,
+)
 from .localise_trust import LEAST_OCCUPANCY, TRUST_SCANS, Evidence, LocalisedScan, evidence
 from .scan_odometry import ScanInfo, ScanOdometry, blended
 
@@ -62,6 +70,127 @@ class Localisation:
         return not self.doubt
 
 
+class MapFollower:
+    """A robot followed scan by scan in a finished map. `push` changes it.
+
+    odometry: poses (m, 3) that drift, one a scan; infos: a record a scan; at: the rows that were placed in the map,
+    corrected: their poses there; found_row: the row at which the hypotheses had become one, None before; restarts: how
+    often the place found turned out wrong and the search began anew; searched: [s] spent until it was found; seen: the
+    last scans placed since it was found.
+    """
+
+    def __init__(
+        self,
+        grid: GridMap,
+        light: Feature,
+        cfg: LaserTrackingConfig,
+        start: Float[np.ndarray, "3"] | None,
+        rng: np.random.Generator,
+        how: LocaliseConfig | None = None,
+    ) -> None:
+        """start: the robot's pose at the first scan, or None to search everywhere. Raises DataError where the map has
+        no free place or no walls.
+        """
+        self.how, self.light, self.start, self.grid = how or LocaliseConfig(), light, start, grid
+        self.cfg = weighed(cfg, light)
+        try:
+            self.walls = nearest_field(grid, LEAST_OCCUPANCY)
+        except ValueError as error:
+            raise DataError(str(error)) from None
+        if start is None and not len(grid.free_cells(FREE_PASSES)):
+            raise DataError("the map has no free place a robot could be in")
+        alpha = self.cfg.cells.alpha if light.name != "none" else 0.0
+        self.particles = PlaceFilter(self.walls, grid, alpha, self.how, self.cfg.particles, rng)
+        self.odometry = ScanOdometry(self.cfg.front_end, feature=light.name)
+        self.infos = ScanInfos()
+        self.at: list[int] = []
+        self.corrected: list[np.ndarray] = []
+        self.found_row: int | None = None
+        self.restarts, self.searched = 0, 0.0
+        self.seen: deque[LocalisedScan] = deque(maxlen=TRUST_SCANS)
+        self._explained: list[float] = []  # share of the returns, since the place was found
+        self._matches = self._returns = 0  # since then
+
+    @property
+    def pose(self) -> Float[np.ndarray, "3"]:
+        """Where the robot most likely was at the latest scan; before the first that was placed, its odometry."""
+        if not self.at:
+            return np.asarray(self.odometry.pose)
+        return np.asarray(se2.compose(self.corrected[-1], self._moved()))
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "3 3"]:
+        """Of `pose`, over x, y, theta in the map, all hypotheses taken; infinite before the first scan was placed."""
+        return self.particles.cloud.covariance(self.corrected[-1]) if self.at else np.full((3, 3), np.inf)
+
+    def _moved(self) -> Float[np.ndarray, "3"]:
+        """By odometry, since the last scan that was placed."""
+        return np.asarray(se2.between(self.odometry.poses[self.at[-1]], self.odometry.poses[-1]))
+
+    def push(self, scan: Scan) -> ScanInfo:
+        """What a scan did to the estimate."""
+        b = beams(scan, self.light.name, self.light.calibration, self.cfg.beam)
+        info = self.odometry.advance(scan, b)
+        points = _some(b, LOCALISE_BEAMS)
+        motion = self._moved() if self.at else np.zeros(3)
+        far = np.hypot(motion[0], motion[1]) >= UPDATE_DISTANCE or abs(motion[2]) >= UPDATE_TURN
+        if len(points) < self.cfg.filter.least_beams or (self.at and not far):
+            told = ScanInfo(info.innovation, info.beams, 0, "skipped" if len(points) else "empty")
+        else:
+            told = self._placed(scan, b, info, motion, points)
+        self.infos.append(told)
+        return told
+
+    def _placed(
+        self, scan: Scan, b: Beams, info: ScanInfo, motion: Float[np.ndarray, "3"], points: Float[np.ndarray, "n 3"]
+    ) -> ScanInfo:
+        clock, row = perf_counter(), len(self.infos)
+        if self.at:
+            self.particles.move(motion)
+            self.particles.weigh(points)
+            last = self._explained[-LOCALISE_DOUBTS:]
+            if self.start is None and len(last) == LOCALISE_DOUBTS and np.mean(last) < self.how.trusted:
+                self.particles.begin(None, points)
+                self.found_row, self._explained = None, []
+                self._matches = self._returns = 0
+                self.seen.clear()
+                self.restarts += 1
+        else:
+            self.particles.begin(self.start, points)
+        pose, matches, n_eff, resampled = self.particles.posterior(b)
+        if self.particles.found:
+            self._explained.append(matches / max(1, len(b.q)))
+        if self.found_row is None:
+            self.searched += perf_counter() - clock
+            self.found_row = row if self.particles.found else None
+        if self.found_row is not None:
+            self._matches, self._returns = self._matches + matches, self._returns + info.beams
+            self.seen.append(LocalisedScan(pose, b, np.array(scan.T_robot_sensor[:2])))
+        self.at.append(row)
+        self.corrected.append(pose)
+        return ScanInfo(info.innovation, info.beams, matches, "matched", n_eff, resampled)
+
+    def evidence(self, before: Sequence[LocalisedScan] = ()) -> Evidence | None:
+        """What speaks for the place found, of the last scans there and those `before`; None where none is found."""
+        if self.found_row is None:
+            return None
+        seen, lit = [*before, *self.seen], self.light.name != "none"
+        searched = self.start is None
+        return evidence(seen, self.grid, self.walls, light=lit, searched=searched, cfg=self.how.trust)
+
+    @property
+    def matched(self) -> float:
+        """The share of the returns since the place was found that the map explains."""
+        return self._matches / max(1, self._returns)
+
+    def doubt(self, support: Evidence | None) -> str:
+        """Why the place with this evidence is not to be trusted, empty where it is."""
+        if support is None:
+            return "the start was not found"
+        few = f"the map explains {100 * self.matched:.0f} % of the returns"
+        return support.doubt or ("" if self.matched >= self.how.trusted else few)
+
+
 def localise(
     log: LaserLog,
     grid: GridMap,
@@ -78,46 +207,32 @@ def localise(
     The log's returns are made comparable with the map's by the map's own calibration; a log without intensity, or a
     map without, is followed by geometry alone. Raises DataError where the map has no free place or no walls.
     """
-    how = how or LocaliseConfig()
     began = perf_counter()
     findings = list(log.findings)
     if feature != "none" and (not log.has_intensity or calibration is None):
         feature = "none"
         findings.append(Finding("light-unused", log.robot, value="the log or the map has none"))
-    cfg = weighed(cfg, Feature(feature, calibration))
     try:
-        walls = nearest_field(grid, LEAST_OCCUPANCY)
-    except ValueError as error:
+        follower = MapFollower(grid, Feature(feature, calibration), cfg, start, rng, how)
+        for row, scan in enumerate(log.scans):
+            follower.push(scan)
+            on_progress("scans", row + 1, len(log.scans))
+    except DataError as error:
         raise DataError(f"{log.source}: {error}") from None
-    alpha = cfg.cells.alpha if feature != "none" else 0.0
-    particles = PlaceFilter(walls, grid, alpha, how, cfg.particles, rng)
-    way = _follow(log, particles, cfg, how, (feature, calibration), start, on_progress)
-    if not way.at:
+    at, corrected, found = follower.at, follower.corrected, follower.found_row
+    if not at:
         raise DataError(f"{log.source}: no scan with enough returns to be placed in the map")
-    since = way.converged_row or 0
-    first = way.at.index(since) if since in way.at else 0
-    poses = blended(way.carried.array, np.array(way.at[first:]), np.array(way.corrected[first:]))
-    scans = way.infos.records(log.scan_t, tuple(scan.host for scan in log.scans), poses)
-    counted = (np.array(scans.decision) == "matched") & (np.arange(len(scans)) >= since)
-    matched = int(scans.matches[counted].sum()) / max(1, int(scans.beams[counted].sum()))
-    if way.converged_row is None:
+    since = found or 0
+    first = at.index(since) if since in at else 0
+    poses = blended(follower.odometry.poses.array, np.array(at[first:]), np.array(corrected[first:]))
+    scans = follower.infos.records(log.scan_t, tuple(scan.host for scan in log.scans), poses)
+    if found is None:
         findings.append(Finding("start-unfound", log.robot))
-    if way.restarts:
-        findings.append(Finding("start-given-up", log.robot, value=way.restarts))
-    support, doubt = None, "the start was not found"
-    if way.converged_row is not None:
-        on_progress("other places", 0, 1)
-        rows = [(row, pose) for row, pose in zip(way.at, way.corrected, strict=True) if row >= way.converged_row]
-        seen = [
-            LocalisedScan(
-                pose, beams(log.scans[row], feature, calibration, cfg.beam), np.array(log.scans[row].T_robot_sensor[:2])
-            )
-            for row, pose in _kept(rows, TRUST_SCANS)
-        ]
-        support = evidence(seen, grid, walls, light=feature != "none", searched=start is None, cfg=how.trust)
-        few = f"the map explains {100 * matched:.0f} % of the returns"
-        doubt = support.doubt or ("" if matched >= how.trusted else few)
-        on_progress("other places", 1, 1)
+    if follower.restarts:
+        findings.append(Finding("start-given-up", log.robot, value=follower.restarts))
+    on_progress("other places", 0, 1)
+    support = follower.evidence(_spread_before(log, follower) if found is not None else ())
+    on_progress("other places", 1, 1)
     total = perf_counter() - began
     return Localisation(
         log.robot,
@@ -125,88 +240,29 @@ def localise(
         _filled(log, poses),
         scans,
         "global" if start is None else "given",
-        None if way.converged_row is None else float(log.scan_t[way.converged_row]),
-        None if way.converged_row is None else way.converged_row + 1,
-        float(matched),
+        None if found is None else float(log.scan_t[found]),
+        None if found is None else found + 1,
+        follower.matched,
         support,
-        doubt,
+        follower.doubt(support),
         feature,
-        cfg.particles,
+        follower.cfg.particles,
         dict(log.dropped),
         tuple(findings),
-        {"localise": total, "global_start": way.searched, "ms_per_scan": 1e3 * total / len(log.scans)},
+        {"localise": total, "global_start": follower.searched, "ms_per_scan": 1e3 * total / len(log.scans)},
     )
 
 
-@dataclass(slots=True)
-class _Way:
-    """What following the log gave: poses carried to every scan, corrected ones at the rows `at`, a record a scan.
-
-    converged_row: the row at which the hypotheses had become one; searched: seconds spent until then; restarts: how
-    often the place found turned out wrong and the search began anew.
-    """
-
-    carried: RowBuffer
-    infos: ScanInfos = field(default_factory=ScanInfos)
-    at: list[int] = field(default_factory=list)
-    corrected: list[np.ndarray] = field(default_factory=list)
-    converged_row: int | None = None
-    searched: float = 0.0
-    restarts: int = 0
-
-
-def _follow(
-    log: LaserLog,
-    particles: PlaceFilter,
-    cfg: LaserTrackingConfig,
-    how: LocaliseConfig,
-    light: tuple[str, IntensityCalibration | None],
-    start: Float[np.ndarray, "3"] | None,
-    on_progress: Progress,
-) -> _Way:
-    odometry = ScanOdometry(cfg.front_end, feature=light[0])
-    way = _Way(odometry.poses)
-    explained: list[float] = []  # share of the returns, since the place was found
-    for row, scan in enumerate(log.scans):
-        b = beams(scan, *light, cfg.beam)
-        info = odometry.advance(scan, b)
-        on_progress("scans", row + 1, len(log.scans))
-        points = _some(b, LOCALISE_BEAMS)
-        motion = se2.between(odometry.poses[way.at[-1]], odometry.poses[row]) if way.at else np.zeros(3)
-        far = np.hypot(motion[0], motion[1]) >= UPDATE_DISTANCE or abs(motion[2]) >= UPDATE_TURN
-        if len(points) < cfg.filter.least_beams or (way.at and not far):
-            way.infos.append(ScanInfo(info.innovation, info.beams, 0, "skipped" if len(points) else "empty"))
-            continue
-        clock = perf_counter()
-        if way.at:
-            particles.move(motion)
-            particles.weigh(points)
-            if (
-                start is None
-                and len(explained) >= LOCALISE_DOUBTS
-                and np.mean(explained[-LOCALISE_DOUBTS:]) < how.trusted
-            ):
-                particles.begin(None, points)
-                way.converged_row, explained = None, []
-                way.restarts += 1
-        else:
-            particles.begin(start, points)
-        pose, matches, n_eff, resampled = particles.posterior(b)
-        if particles.found:
-            explained.append(matches / max(1, len(b.q)))
-        if way.converged_row is None:
-            way.searched += perf_counter() - clock
-            way.converged_row = row if particles.found else None
-        way.at.append(row)
-        way.corrected.append(pose)
-        way.infos.append(ScanInfo(info.innovation, info.beams, matches, "matched", n_eff, resampled))
-    return way
-
-
-def _kept(rows: list[tuple[int, np.ndarray]], most: int) -> list[tuple[int, np.ndarray]]:
-    """The last `most` of the rows whole, and as many spread over those before."""
-    before, last = rows[:-most], rows[-most:]
-    return before[:: max(1, -(-len(before) // most))] + last
+def _spread_before(log: LaserLog, follower: MapFollower) -> list[LocalisedScan]:
+    """As many scans as the follower kept, at most, spread over those since the place was found that it did not keep."""
+    light, since = follower.light, follower.found_row or 0
+    rows = [(row, pose) for row, pose in zip(follower.at, follower.corrected, strict=True) if row >= since]
+    before = rows[: -len(follower.seen)]
+    out = []
+    for row, pose in before[:: max(1, -(-len(before) // TRUST_SCANS))]:
+        b = beams(log.scans[row], light.name, light.calibration, follower.cfg.beam)
+        out.append(LocalisedScan(pose, b, np.array(log.scans[row].T_robot_sensor[:2])))
+    return out
 
 
 def _some(b: Beams, count: int) -> Float[np.ndarray, "n 3"]:

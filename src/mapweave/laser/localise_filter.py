@@ -7,7 +7,6 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..core.config import config
-from ..core.errors import DataError
 from ..kernels.laser.resample import systematic
 from .beam import Beams
 from .laser_map import GridMap
@@ -78,6 +77,12 @@ class Cloud:
         pose[2] = se2.wrap_angle(pose[2])
         return pose, spread, share
 
+    def covariance(self, pose: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+        """Of all particles about `pose`, over x, y, theta."""
+        off = self.poses - pose
+        off[:, 2] = se2.wrap_angle(off[:, 2])
+        return np.asarray((off * self.shares()[:, None]).T @ off)
+
 
 class PlaceFilter:
     """The particles; every method changes them."""
@@ -106,8 +111,6 @@ class PlaceFilter:
             self.weigh(points)
             return
         places = _spaced(self.grid.free_cells(FREE_PASSES), LOCALISE_SPACING)
-        if not len(places):
-            raise DataError("the map has no free place a robot could be in")
         headings = np.arange(-np.pi, np.pi, LOCALISE_TURN)
         best: list[np.ndarray] = []
         scores: list[np.ndarray] = []
