@@ -18,6 +18,7 @@ from ..io.directory import check_target, result_directory, write_json
 from ..io.points import read_points
 from ..io.pyfg import read_pyfg, write_pyfg
 from ..io.range_bags import is_range_bag, read_range_bag
+from ..io.rawlog import is_rawlog_of_ranges, read_rawlog_ranges
 from ..io.table import write_table
 from ..io.team_map import write_landmarks, write_tracks
 from ..landmarks.landmark_map import LandmarkMap
@@ -208,8 +209,8 @@ def solve_ranges(file: Path | str, out: Path | str | None = None, *, force: bool
 
 
 def applies(log: Path) -> bool:
-    """Recordings of ranges and odometry without scans."""
-    return is_range_bag(log)
+    """Recordings and rawlogs of ranges and odometry without scans."""
+    return is_range_bag(log) or is_rawlog_of_ranges(log)
 
 
 def map_logs(logs: Sequence[Path], options: MapOptions) -> RangeResult:
@@ -221,7 +222,7 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> RangeResult:
         if getattr(options, name) != getattr(plain, name):
             raise UsageError(f"--{name.replace('_', '-')}: not for recordings of ranges, found {logs[0]}")
     watch = Watch()
-    log = read_range_bag(logs[0], options.radios)
+    log = read_range_bag(logs[0], options.radios) if is_range_bag(logs[0]) else read_rawlog_ranges(logs[0])
     if options.survey is not None:
         points = read_points(options.survey)
         known = {name: (x, y, sd or SURVEYED) for name, (x, y, sd) in points.items() if name in log.names}

@@ -7,6 +7,7 @@ from ..core.errors import ReaderError
 from ..core.laser_log import LaserLog
 from ..core.plugins import Reader, load, plugged
 from .files import NotTextError, TextLog, recording_suffix
+from .rawlog import is_rawlog, read_rawlog_scans
 from .scan_table import ScanTable, read_scan_table
 from .unknown import not_known
 
@@ -28,11 +29,13 @@ class LaserSource:
 
 
 def is_laser_log(path: Path) -> bool:
-    """Whether `read_laser` would try: a bag, or a text whose first rows are of a known format."""
+    """Whether `read_laser` would try: a bag, a rawlog, or a text whose first rows are of a known format."""
     if is_bag(path):
         return True
     if not path.is_file():
         return False
+    if is_rawlog(path):
+        return True
     try:
         log = TextLog(path)
     except ReaderError:
@@ -79,6 +82,8 @@ def read_laser(path: Path, robot: str = "1", source: LaserSource | None = None) 
             height=source.height,
             fixes=source.fixes,
         )
+    if is_rawlog(path):
+        return read_rawlog_scans(path, robot, sensor_pose=source.sensor_pose, mirrored=source.mirrored)
     try:
         log = TextLog(path)
     except NotTextError:

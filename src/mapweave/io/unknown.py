@@ -93,7 +93,10 @@ FORMATS = (
     ),
     Format("a trajectory", _of("qx", "qw"), _columns(8, 8), "`--truth`, for it holds no scans"),
 )
-BINARY = "a ROS recording begins with '#ROSBAG V2.0' (.bag), '\\x89MCAP0' (.mcap) or 'SQLite format 3' (.db3)"
+BINARY = (
+    "a ROS recording begins with '#ROSBAG V2.0' (.bag), '\\x89MCAP0' (.mcap) or 'SQLite format 3' (.db3), "
+    "a rawlog of MRPT with the name of a class"
+)
 
 
 def not_known(path: Path) -> ReaderError:
