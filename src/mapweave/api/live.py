@@ -7,6 +7,7 @@ import webbrowser
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Any
@@ -21,6 +22,7 @@ from ..core.paths import AnyConfig, path_arguments
 from ..core.version import __version__
 from ..core.workers import one_blas_thread
 from ..io.directory import check_target, write_json
+from ..live.bag_feed import BagFeed
 from ..live.credentials import make_team
 from ..live.inbox import Inbox
 from ..live.isolation import without_culprits
@@ -29,7 +31,7 @@ from ..live.laser_robot import LaserRobot
 from ..live.map_process import MapProcess
 from ..live.messages import Header, check_name
 from ..live.robot import Pace, RobotProcess
-from ..live.sources import messages, open_source
+from ..live.sources import messages, open_recording, open_source
 from ..live.store import Store, begun
 from ..live.told import follow
 from ..live.topics import Topics
@@ -107,6 +109,7 @@ def live_robot(
     source: Path | str,
     *,
     robot: str | None = None,
+    follow: bool = False,
     rate: float = 1.0,
     period: float = 1.0,
     history: Path | str | None = None,
@@ -134,6 +137,9 @@ def live_robot(
         ros2: a robot that drives now, whose ROS 2 runs rmw_zenoh, until `stop`.
     robot
         Which robot of the log it is, by key (the one whose number `name` ends with, or the only one).
+    follow
+        The source is a recording that is still written (.mcap, .db3, .bag or a folder), or is not there yet: its scans
+        are told as they come, until it is closed or `stop`.
     rate
         Seconds of the log in one second of the clock (1); inf is as fast as it goes.
     period
@@ -161,19 +167,14 @@ def live_robot(
         The robot's clock [s].
     """
     check_name(name)
-    if not rate > 0:
-        raise UsageError(f"--rate: expected a number above 0, found {rate}")
-    if not (0 < period < math.inf):
-        raise UsageError(f"--period: expected seconds above 0, found {period}")
-    if not linger >= 0:
-        raise UsageError(f"--linger: expected seconds, found {linger}")
+    _check_pace(rate, period, linger)
     network = network or Network()
     check_name(network.team, "--team")
     path = Path("mapweave-live", f"{network.team}-{name}.sqlite") if history is None else Path(history)
     stop = stop or Event()
     if str(source) == ROS2:
-        if robot is not None or rate != 1.0:
-            raise UsageError(f"--source {ROS2}: a robot that drives now has neither --robot nor --rate")
+        if robot is not None or rate != 1.0 or follow:
+            raise UsageError(f"--source {ROS2}: a robot that drives now has neither --robot nor --rate nor --follow")
         with Store(path, f"robot {name} of team {network.team}") as store:
             if fresh:
                 store.clear()
@@ -181,6 +182,10 @@ def live_robot(
             options = ros or RosOptions()
             sent, heard = drive_ros2(name, options, store, run, period, linger, config, network, stop, say, wall)
             return LiveRobot(name, sent, heard, path, store.sizes(name))
+    if follow:
+        if ros is not None or rate != 1.0:
+            raise UsageError("--follow: a recording that is still written has neither --rate nor options of ROS graphs")
+        return _following(name, Path(source), robot, period, path, fresh, linger, config, network, stop, say, wall)
     if ros is not None:
         words = "--domain, --pattern, --graph, --sensor-pose, --all-scanners, --team-map, --goals"
         raise UsageError(f"{words}: of --source {ROS2} alone")
@@ -199,6 +204,45 @@ def live_robot(
             expected = bool(network.connect or network.listen)
             sent = process.run(messages(log, name, run, period), driving, Pace(rate, linger, expected), stop)
             return LiveRobot(name, sent, process.heard_by, path, store.sizes(name))
+
+
+def _check_pace(rate: float, period: float, linger: float) -> None:
+    if not rate > 0:
+        raise UsageError(f"--rate: expected a number above 0, found {rate}")
+    if not (0 < period < math.inf):
+        raise UsageError(f"--period: expected seconds above 0, found {period}")
+    if not linger >= 0:
+        raise UsageError(f"--linger: expected seconds, found {linger}")
+
+
+def _following(
+    name: str,
+    source: Path,
+    robot: str | None,
+    period: float,
+    history: Path,
+    fresh: bool,  # noqa: FBT001
+    linger: float,
+    config: AnyConfig | None,
+    network: Network,
+    stop: Event,
+    say: Say,
+    wall: Callable[[], float],
+) -> LiveRobot:
+    """A robot driven by a recording that grows."""
+    with Store(history, f"robot {name} of team {network.team}") as store:
+        if fresh:
+            store.clear()
+        run = begun(store, "laser", period)
+        with session(network, lambda at: say(f"{name}: {LISTENING}{at}")) as opened:
+            process = RobotProcess(name, opened, Topics(network.team), store, say, wall)
+            process.join()
+            say(f"{name}: follows {source}, team {network.team}, history in {history}")
+            feed = BagFeed(source, partial(open_recording, name=name, robot=robot), name, run, period, stop, say)
+            sent = process.follow(
+                feed, partial(_driving, settings=config), Pace(linger=linger), feed.ended, lambda _: None
+            )
+            return LiveRobot(name, sent, process.heard_by, history, store.sizes(name))
 
 
 def _driving(header: Header, settings: AnyConfig | None) -> LandmarkRobot | LaserRobot:

@@ -19,8 +19,10 @@ from ..core.workers import Progress, no_progress, worker_pool
 from ..io.kept import part, parts
 from ..io.laser_logs import LaserSource, is_laser_log, read_laser, robots_of
 from ..io.laser_state import LaserState, read_laser_states
+from ..io.ros_map import YAML_SUFFIXES, read_ros_map
 from ..laser.laser_map import LaserMap
 from ..mapping.config import LaserConfig
+from ..mapping.known_map import known_map
 from ..mapping.laser_mapping import elsewhere_from, map_laser
 from .laser_result import LaserResult, laser_metrics, scored, woven_result
 from .map_options import LaserOptions, MapOptions
@@ -58,7 +60,10 @@ def map_logs(logs: Sequence[Path | LaserLog], options: MapOptions) -> LaserResul
 
 def _going_on(before: Path, logs: Sequence[Path | LaserLog], options: MapOptions) -> LaserResult:
     """The result in `before` with further logs: what one run of all logs would have given."""
-    state = read_laser_states(before)
+    walls = before.suffix.lower() in YAML_SUFFIXES and not before.is_dir()
+    state = (
+        LaserState((known_map(read_ros_map(before).grid(), str(before)),), {}) if walls else read_laser_states(before)
+    )
     cfg = _configured(options)
     if cfg.method != "graph":
         raise UsageError(f"--resume: goes on with --method graph, found {cfg.method}")

@@ -51,7 +51,8 @@ class LaserOptions:
     no_merge
         And every robot's map stays alone.
     resume
-        A finished result of method graph to add the logs to, as new robots or as longer logs of its robots.
+        A finished result of method graph to add the logs to, as new robots or as longer logs of its robots; or the
+        `map.yaml` of known walls as map servers read it, which are robot0 there, in whose frame the result is.
     columns
         How text logs that are tables are read, a scan a row: t,x,y,theta,ranges in seconds, metres and radians. Also
         ranges:N, intensities:N, and - or -:N for columns that are not used. With `beams`.

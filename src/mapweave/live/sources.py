@@ -59,6 +59,13 @@ def messages(log: LandmarkLog | LaserLog, robot: str, run: str, period: float) -
     return messages_of(log, robot, run, period)
 
 
+def open_recording(path: Path, name: str, robot: str | None) -> LaserLog:
+    """The laser log of one robot of the recording at `path`, as far as it is written; errors as of `open_source`."""
+    number = re.search(r"(\d+)$", name)
+    key = robot if robot is not None else None if number is None else str(int(number[1]))
+    return _laser(path, key, name, asked=robot is not None)
+
+
 def _laser(path: Path, key: str | None, name: str, *, asked: bool) -> LaserLog:
     """The only robot of a laser log, or the one of that name or number in it; the team calls it by `name`'s number."""
     source = LaserSource()
