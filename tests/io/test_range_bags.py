@@ -5,6 +5,8 @@ import pytest
 
 from mapweave.core.errors import ReaderError, UsageError
 from mapweave.core.records import Track
+from mapweave.io import mcap, range_bags
+from mapweave.io.bag_robots import TF
 from mapweave.io.range_bags import is_range_bag, read_range_bag, write_range_bag
 
 T = np.arange(0.0, 10.0, 0.5) + 1.7e9
@@ -49,3 +51,18 @@ def test_radios_that_nobody_can_tell_apart_are_refused_and_may_be_said(tmp_path)
     assert set(log.names) == {"alpha1", "beta2", "gamma3", "n_8"}
     with pytest.raises(UsageError, match="knows no n_1"):
         read_range_bag(path, {"n_1": "gamma3"})
+
+
+def test_the_antenna_of_a_radio_stands_where_transforms_say(tmp_path):
+    kinds = {"/robot1/odom": range_bags.ODOMETRY, "/uwb/robot1/beacon7/range": range_bags.RANGE, "/tf_static": TF[0]}
+    ns = [mcap.nanoseconds(t) for t in T]
+    still = mcap.transform_message(ns[0], mcap.BASE, "robot1", np.array([0.3, -0.1, 1.0]))
+    messages = [(ns[0], "/tf_static", mcap.message_type(TF[0])(transforms=[still]))]
+    for t, pose in zip(ns, WAY.pose, strict=True):
+        messages.append((t, "/robot1/odom", mcap.odometry_message(t, pose)))
+        messages.append((t, "/uwb/robot1/beacon7/range", range_bags._range_message(t, "robot1", 2.5)))
+    mcap.write_messages(tmp_path / "ranges.mcap", kinds, messages, {"/tf_static"})
+    log = read_range_bag(tmp_path / "ranges.mcap")
+    assert log.antennas["robot1"] == pytest.approx([0.3, -0.1])
+    assert log.unused == ()
+    assert not read_range_bag(bag(tmp_path, ["robot1"], [("robot1", "beacon7")])).antennas

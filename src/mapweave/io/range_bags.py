@@ -17,10 +17,11 @@ from ..core.findings import Finding, Unused
 from ..core.names import in_order
 from ..core.records import Track
 from ..ranges.log import RangeLog
-from .bag import Bag, bag_hash, open_bag
+from .bag import Bag, bag_hash, open_bag, stamp
+from .bag_robots import TF
 from .laser_logs import is_bag
 from .mcap import Message, header_message, message_type, nanoseconds, odometry_message, write_messages
-from .transforms import planar, rigid
+from .transforms import Transforms, frame, planar, rigid
 
 RANGE, ODOMETRY = "sensor_msgs/msg/Range", "nav_msgs/msg/Odometry"
 NAME = re.compile(r"[A-Za-z]+[_-]?[0-9]+|[0-9]+")
@@ -41,20 +42,28 @@ def read_range_bag(path: Path, radios: Mapping[str, str] | None = None) -> Range
 
     Raises ReaderError where no topic names a pair, or where it cannot be told which radio is on which robot.
     """
-    bag = open_bag(path, (RANGE, ODOMETRY))
+    bag = open_bag(path, (RANGE, ODOMETRY, *TF))
     wheels = _odometry_topics(bag)
     topics = [topic for topic in bag.topics(RANGE) if bag.counts.get(topic)]
     stamps: dict[str, list[tuple[float, float]]] = {topic: [] for topic in (*topics, *wheels)}
     poses: dict[str, list[tuple[float, float, float]]] = {topic: [] for topic in wheels}
     rows: list[_Row] = []
-    for topic, ns, message in bag.messages({*topics, *wheels}):
+    tf, base, stands = Transforms(), dict[str, str](), dict[str, str]()  # frames of robots and of radios
+    mounts = bag.topics(*TF)
+    for topic, ns, message in bag.messages({*topics, *wheels, *mounts}):
+        if topic in mounts:
+            for transform in message.transforms:
+                tf.add(stamp(transform.header, ns), transform)
+            continue
         if topic in poses:
+            base.setdefault(wheels[topic], frame(message.child_frame_id))
             poses[topic].append(planar(rigid(message.pose.pose.position, message.pose.pose.orientation)))
         else:
             a, b = _pair(path, topic, message.header.frame_id)
+            stands.setdefault(a, frame(message.header.frame_id))
             rows.append(_Row(topic, a, b, len(stamps[topic]), float(message.range)))
-        stamp = message.header.stamp
-        stamps[topic].append((stamp.sec + stamp.nanosec * 1e-9, ns * 1e-9))
+        told = message.header.stamp
+        stamps[topic].append((told.sec + told.nanosec * 1e-9, ns * 1e-9))
     clock, notes = _clock(stamps)
     tracks = {wheels[topic]: _track(clock(topic), poses[topic]) for topic in wheels if len(poses[topic]) > 1}
     if not tracks or not rows:
@@ -64,7 +73,12 @@ def read_range_bag(path: Path, radios: Mapping[str, str] | None = None) -> Range
     names = tuple(dict.fromkeys([*robots, *(on.get(radio, radio) for radio in seen)]))
     place = {radio: names.index(on.get(radio, radio)) for radio in seen}
     t = {topic: clock(topic) for topic in topics}
-    read = {*topics, *(topic for topic in wheels if wheels[topic] in tracks)}
+    antennas = {
+        robot: there[0][:2]
+        for radio, robot in on.items()
+        if radio in stands and (there := tf.rigid_pose(base[robot], stands[radio])) is not None
+    }
+    read = {*topics, *(topic for topic in wheels if wheels[topic] in tracks), *(mounts if antennas else ())}
     unused = tuple(
         Unused(str(path), topic, kind, bag.counts[topic], _why(kind))
         for topic, kind in sorted(bag.kinds.items())
@@ -80,6 +94,7 @@ def read_range_bag(path: Path, radios: Mapping[str, str] | None = None) -> Range
         np.array([place[row.b] for row in rows], np.int64),
         np.array([t[row.topic][row.k] for row in rows]),
         np.array([row.z for row in rows]),
+        antennas=antennas,
         source=str(path),
         log_hash=bag_hash(path),
         unused=unused,
