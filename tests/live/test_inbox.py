@@ -1,5 +1,7 @@
 """Every message once and in order, whatever the network did to it."""
 
+import shutil
+
 import numpy as np
 import pytest
 
@@ -166,7 +168,7 @@ def test_a_store_of_another_owner_version_or_kind_is_told_in_one_line(tmp_path):
     with Store(path, "robot r1 of team a") as store:
         assert store.get("r1", 0, 9) == [(0, b"x")]
         store.set_about("version", "7")
-    with pytest.raises(UsageError, match="a store of version 7, this is 1"):
+    with pytest.raises(UsageError, match="a store of version 7, this is 2"):
         Store(path, "robot r1 of team a")
     other = tmp_path / "text"
     other.write_text("no database at all, but long enough to be read as one" * 20)
@@ -178,3 +180,69 @@ def test_what_was_put_first_stays(store):
     store.put([("r1", 0, b"first")])
     store.put([("r1", 0, b"second"), ("r1", 1, b"next")])
     assert store.get("r1", 0, 9) == [(0, b"first"), (1, b"next")]
+
+
+PAGE = 4096  # [bytes] of SQLite's files here
+
+
+def kept_of_two(path):
+    """A closed store of all that two robots told, and what is in it."""
+    told = {f"r{k}": payloads(log, f"r{k}") for k, log in enumerate(team(), 1)}
+    with Store(path, OWNER) as store:
+        inbox = Inbox(store)
+        for robot, each in told.items():
+            for payload in each:
+                inbox.offer(robot, payload, 0.0)
+        inbox.save()
+    return told
+
+
+def damaged(path, rng, page):
+    """The page holds other bytes: some, or all of them."""
+    with path.open("r+b") as file:
+        file.seek(page * PAGE + (0 if rng.random() < 0.5 else int(rng.integers(PAGE - 60))))
+        file.write(rng.bytes(int(rng.choice([1, 60]))) if file.tell() % PAGE else bytes(PAGE))
+
+
+def test_wherever_a_store_is_damaged_what_is_left_is_used_and_the_rest_asked_for(tmp_path):
+    told = kept_of_two(tmp_path / "sound")
+    pages = (tmp_path / "sound").stat().st_size // PAGE
+    rng, lost = np.random.default_rng(3), 0
+    for page in [*range(1, pages), *rng.integers(1, pages, 30).tolist()]:
+        path = tmp_path / f"s{lost}-{page}"
+        shutil.copy(tmp_path / "sound", path)
+        damaged(path, rng, page)
+        with Store(path, OWNER) as store:
+            inbox = Inbox(store)
+            for robot, each in told.items():
+                kept = store.get(robot, 0, 1 << 40)
+                assert all(each[seq] == payload for seq, payload in kept)
+                missing = set(range(len(each))) - {seq for seq, _ in kept}
+                assert not missing or "was damaged" in store.damage
+                lost += len(missing)
+                for seq in (0, len(each) - 1):  # the robot goes on
+                    inbox.offer(robot, each[seq], 10.0)
+            for robot, first, last in [*inbox.gaps(11.0), *inbox.gaps(14.0)]:
+                for payload in told[robot][first : last + 1]:
+                    inbox.offer(robot, payload, 14.0)
+            inbox.save()
+            assert all(inbox.ledgers[robot].complete for robot in told)
+            assert {inbox.log(robot).log_hash for robot in told} == {log.log_hash for log in team()}
+        with Store(path, OWNER) as store:
+            assert store.damage == ""
+    assert lost > 100
+
+
+def test_a_store_without_checksums_is_read_and_has_them_from_now_on(tmp_path):
+    path = tmp_path / "s.sqlite"
+    with Store(path, OWNER) as store:
+        store.put([("r1", 0, b"x")])
+        store._db.execute("ALTER TABLE messages DROP COLUMN crc")
+        store.set_about("version", "1")
+    with Store(path, OWNER) as store:
+        assert store.get("r1", 0, 9) == [(0, b"x")]
+        store.put([("r1", 1, b"y")])
+        store._db.execute("UPDATE messages SET payload = x'00' WHERE seq = 1")
+    with Store(path, OWNER) as store:
+        assert store.get("r1", 0, 9) == [(0, b"x")]
+        assert "was damaged: 1 messages could be read" in store.damage

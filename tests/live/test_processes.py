@@ -1,6 +1,8 @@
 """Real processes, killed and started again: the map is the one that `map` makes of the same logs, to the byte."""
 
+import sqlite3
 import time
+from contextlib import closing
 
 import pytest
 
@@ -52,3 +54,34 @@ def test_a_map_process_hands_the_past_of_a_robot_that_left_to_another(fleet, dir
     fleet.interrupt("map")
     assert fleet.wait("map") == 0, fleet.said("map")
     same_result(direct, fleet.folder / "out-map")
+
+
+def damaged_in_the_middle(path):
+    """One page amid the file holds nothing, as after a fault of the disk."""
+    with path.open("r+b") as file:
+        file.seek(path.stat().st_size // 2 // 4096 * 4096)
+        file.write(bytes(4096))
+
+
+@pytest.mark.slow
+def test_stores_damaged_in_the_middle_are_told_and_filled_again_and_the_map_is_the_same(fleet, direct):
+    fleet.map(robots="r1,r2,r3")  # waits on for one that never comes
+    for name in ("r1", "r2"):
+        fleet.robot(name, rate="inf")
+        fleet.hears("map", f"{name}: joined")
+        assert fleet.wait(name) == 0
+    fleet.kill("map")
+    for path in (fleet.folder / "out-map.sqlite", fleet.folder / "mapweave-live" / "team-r2.sqlite"):
+        with closing(sqlite3.connect(path)) as left:
+            left.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        damaged_in_the_middle(path)
+    fleet.map()
+    fleet.robot("r1", rate="inf")
+    fleet.robot("r2", rate="inf")
+    assert fleet.wait("map") == 0, fleet.said("map")
+    for name, lost in (("map", "what is missing is asked for again"), ("r2", "goes on after")):
+        assert "was damaged" in fleet.said(name)
+        assert lost in fleet.said(name)
+    same_result(direct, fleet.folder / "out-map", but=("metrics.json", "report.html", "result.npz"))  # they tell that
+    told = (fleet.folder / "out-map" / "metrics.json").read_text()
+    assert "out-map.sqlite was damaged" in told

@@ -350,6 +350,8 @@ def live_map(
             say(f"{name}: team {network.team}, heard so far kept in {path}")
             if is_open(network):
                 process.finding(INSECURE)
+            if kept.damage:
+                process.finding(f"{kept.damage}; what is missing is asked for again")
             process.run(stop or Event(), every, lambda inbox: _all_told(inbox, robots))
             process.tell_state()
         for line in process.summary():

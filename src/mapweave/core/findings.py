@@ -750,8 +750,9 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
         "network-told": FindingKind(
             "doubtful",
             "{value}",
-            "Something that came over the network was not believed, or a robot was left out of the map.",
-            "Look which robot sent it, and whether its log alone gives a map.",
+            "Something that came over the network was not believed, a robot was left out of the map, or what the map "
+            "process runs on failed.",
+            "Look which robot sent it, and whether its log alone gives a map; of a damaged store, look at the disk.",
         ),
         "told-before": FindingKind(
             "note",

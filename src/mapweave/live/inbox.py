@@ -134,14 +134,16 @@ class Inbox:
         self._store = store
         self._unsaved: dict[tuple[str, int], bytes] = {}
         self._unsaved_size = 0
-        for robot in (store.about(JOINED) or "").split():  # in the order of joining: who came first keeps its place
+        told = sorted(name for name in store.robots() if not name.endswith(RIVALS))
+        for robot in dict.fromkeys([*(store.about(JOINED) or "").split(), *told]):  # who came first keeps its place
             self._recall(robot)
 
     def _recall(self, robot: str) -> None:
         """The ledger as it was before this process began."""
-        run = self._store.about(f"run of {robot}") or ""
-        ledger = self.ledgers[robot] = Ledger(robot, run)
         numbers = self._store.numbers(robot)
+        first = envelope_of(self._payload(robot, numbers[0])) if numbers else None  # a word may be lost with its disk
+        run = (self._store.about(f"run of {robot}") or "") if first is None else first.run
+        ledger = self.ledgers[robot] = Ledger(robot, run)
         ledger.held, ledger.last = set(numbers), max(numbers, default=-1)
         ledger.top, ledger.own = ledger.last, self._store.about(f"own run of {robot}") == run
         ledger.suspect = self._store.about(f"suspect {robot}") is not None

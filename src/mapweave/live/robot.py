@@ -115,6 +115,8 @@ class RobotProcess:
 
     def join(self) -> None:
         """Others hear of this robot from now on; raises UsageError when one of its name is there."""
+        if self._store.damage:
+            self._say(f"{self.name}: {self._store.damage}")
         time.sleep(SETTLE)
         if there_is(self._session, self._topics.alive(self.name)):
             raise UsageError(f"--name {self.name}: a robot of that name is in team {self._topics.team} already")
@@ -209,6 +211,10 @@ class RobotProcess:
         """The estimator after all that the store holds, and `feed` told of it."""
         kept = [decode(payload) for _, payload in self._store.get(self.name, 0, 1 << 60)]
         history = [message for message in kept if isinstance(message, Numbered)]
+        lost = next((k for k, message in enumerate(history) if message.seq != k), None)
+        if lost is not None:
+            gone = f"messages from {lost} to {history[lost].seq - 1} are lost, and nobody drives that way again"
+            raise DataError(f"{self._store.path}: {gone}; --fresh begins a new history")
         try:
             feed.resume(history)
         except RefusedError as error:
@@ -236,15 +242,16 @@ class RobotProcess:
 
     def _again(self, messages: Timed, driving: Driving) -> Timed:
         """What the store holds, worked in anew; what is left of `messages`."""
-        kept = self._store.get(self.name, 0, 1 << 60)
-        for seq, payload in kept:
+        kept = dict(self._store.get(self.name, 0, 1 << 60))
+        for seq in range(max(kept, default=-1) + 1):
             _, message = next(messages, (0.0, None))
-            if message is None or encode(message) != payload:
+            if message is None or encode(message) != kept.get(seq, encode(message)):
                 raise UsageError(f"{self._store.path}: holds the history of another log; --fresh begins a new one")
+            self._unsaved += [] if seq in kept else [(self.name, seq, encode(message))]  # its disk has lost it
             self.last = seq
             driving.add(message)
         if kept:
-            self._say(f"{self.name}: goes on after {len(kept)} messages of its history")
+            self._say(f"{self.name}: goes on after {self.last + 1} messages of its history")
         return messages
 
     def _tell(self, batch: Sequence[Numbered]) -> None:
@@ -262,7 +269,7 @@ class RobotProcess:
             return
         self._full_until = 0.0
         sent, self._unsaved = self._unsaved, []
-        self.last = sent[-1][1]
+        self.last = max(self.last, sent[-1][1])
         for _, _, payload in sent:
             put(self._session, self._topics.log(self.name), payload)
 
