@@ -2,11 +2,13 @@
 
 import threading
 import time
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
 
 from mapweave.core.errors import EstimateError
+from mapweave.live import beside, laser_weaver, map_process
 from mapweave.live.driven import DrivenSession
 from mapweave.live.inbox import Inbox
 from mapweave.live.isolation import without_culprits
@@ -14,11 +16,13 @@ from mapweave.live.laser_team import LiveLaserTeam
 from mapweave.live.laser_weaver import LaserWeaver
 from mapweave.live.map_process import MapProcess
 from mapweave.live.messages import Header, Snapshot, encode
-from mapweave.live.shared_map import SharedMap
+from mapweave.live.pair_search import PairTrial
+from mapweave.live.shared_map import Fusing, SharedMap
 from mapweave.live.store import Store
 from mapweave.live.tile_mapper import TileMapper
 from mapweave.live.topics import Topics
 from mapweave.live.transport import Network, session
+from mapweave.live.weaving import Weaving
 
 from .teams import messages, team
 from .test_laser_weaving import CFG, docked, filled, woven
@@ -155,37 +159,80 @@ def test_a_snapshot_that_fusion_breaks_on_is_named_and_the_others_are_fused(tmp_
         assert "r2: refused, its snapshot: LinAlgError: Singular matrix" in shared.decisions
 
 
-def test_a_thread_that_dies_is_told_at_once_and_started_anew(tmp_path, monkeypatch):
-    monkeypatch.setattr("mapweave.live.map_process.REST", 0.0)
-    died = []
-    wait = LaserWeaver._next
+THREADS = {  # of a map process: what each does again and again
+    "follows": (LaserWeaver, "_next", "the thread that follows laser robots died and begins anew: {}"),
+    "solves": (Weaving, "run", "not woven: {}"),
+    "searches": (PairTrial, "run", "not woven: r1 and r2, tried on each other: {}"),
+    "fuses": (Fusing, "run", "fusing failed: {}"),
+    "maps robots that are gone": (map_process, "mapped_again", "mapping a robot that is gone failed: {}"),
+}
+HUNG = 4.0  # [s]; longer than any piece of work of so small a team takes, with everything compiled
+WORDS = {
+    ("follows", "dies"): "SystemExit: out of the blue",
+    ("follows", "hangs"): f"it has stood still for {HUNG:g} s",
+    "dies": "RuntimeError: SystemExit: out of the blue",
+    "hangs": f"TimeoutError: given up after {HUNG:g} s",
+}
 
-    def once(self, followed, due):
-        if not died:
-            died.append(True)
-            raise SystemError("out of the blue")
-        return wait(self, followed, due)
 
-    monkeypatch.setattr(LaserWeaver, "_next", once)
-    store, heard = filled(tmp_path / "s.sqlite", 0.2)
+@pytest.mark.parametrize("how", ["dies", "hangs"])
+@pytest.mark.parametrize("which", THREADS)
+def test_every_thread_that_dies_or_hangs_is_told_and_another_takes_its_place(tmp_path, monkeypatch, which, how):
+    monkeypatch.setattr(map_process, "REST", 0.0)
+    if how == "hangs":
+        monkeypatch.setattr(beside, "HUNG", HUNG)
+        monkeypatch.setattr(laser_weaver, "HUNG", HUNG)
+    where, name, told = THREADS[which]
+    told = told.format(WORDS.get((which, how)) or WORDS[how])
+    work, calls, never = getattr(where, name), [], threading.Event()
+
+    def once(*args):
+        calls.append(threading.current_thread())
+        if len(calls) == 1 and how == "dies":
+            raise SystemExit("out of the blue")
+        if len(calls) == 1:
+            never.wait()
+        return work(*args)
+
+    monkeypatch.setattr(where, name, once)
+    lasers = which in {"follows", "solves", "searches"}
     said = []
-    with store, session(Network(listen=("tcp/127.0.0.1:0",))) as alone:
-        store.set_about("robots, in the order of joining", "r1 r2")
-        store.set_about("run of r1", "a")
-        store.set_about("run of r2", "a")
+    with robots_of_both(tmp_path, lasers=lasers) as store, session(Network(listen=("tcp/127.0.0.1:0",))) as alone:
         process = MapProcess("map", alone, Topics("t"), store, Inbox(store), said.append)
-        stop = threading.Event()
-        end = time.monotonic() + 60
+        process.starts = docked
+        if which == "fuses":
+            for one in "r1", "r2":
+                snapshots = snapshot(one, [(1.0, 2.0), (4.0, 0.0), (0.0, 5.0)])
+                process.inbox.offer(one, encode(snapshots), 0.0)
+        end = time.monotonic() + 120
+        needed = {"searches": 1, "maps robots that are gone": 2}.get(which, 2)
 
-        def until(inbox):
-            return (process.shared.fused > 0 and set(process.shared.placed) == {"r1", "r2"}) or time.monotonic() > end
+        def until(_):
+            mapped = set(process.shared.placed) == {"r1", "r2"} and bool(process.shared.tiles) == lasers
+            there = (mapped or which == "maps robots that are gone") and len(calls) >= needed
+            return (told in said and there) or time.monotonic() > end
 
-        process.run(stop, 0.5, until)
-    told = "the thread that follows laser robots died and begins anew: SystemError: out of the blue"
-    assert said.count(told) == 1
+        process.run(threading.Event(), 0.5, until)
+    never.set()
+    for thread in threading.enumerate():  # the next test is not theirs
+        if thread.name in {"weaver", "beside"}:
+            thread.join(60)
+    assert said.count(told) == 1, said
     assert told in process.state().decisions
-    assert process.shared.tiles
-    assert heard["r1"] == process._woven.worked["r1"]
+    assert len(calls) >= needed
+    assert calls[0] is not threading.main_thread()
+    if lasers:
+        assert process.shared.tiles
+
+
+@contextmanager
+def robots_of_both(folder, *, lasers):
+    """A store of what two robots told, with their names."""
+    store = filled(folder / "s.sqlite", 0.3)[0] if lasers else Store(folder / "s.sqlite", "a map")
+    with store:
+        for k, log in enumerate(() if lasers else team(), 1):
+            store.put([(f"r{k}", m.seq, encode(m)) for m in messages(log, f"r{k}")])
+        yield store
 
 
 def test_a_message_that_breaks_the_inbox_is_counted_and_the_next_one_taken(tmp_path, monkeypatch):

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..mapping.config import LaserConfig
 from ..mapping.merge import Merge
-from .beside import beside
+from .beside import HUNG, beside
 from .isolation import in_words
 from .laser_team import LiveLaserTeam, Starts, WovenTeam, nobody
 from .pair_search import PairTrial
@@ -48,13 +48,13 @@ class _Solving(NamedTuple):
 class LaserWeaver:
     """A laser team as it is followed, from what the store holds up to where there is no gap.
 
-    newest: the last map, None before the first; failed: why the last solution gave none, empty when it did; died: what
-    ended its thread, empty while nothing did.
+    newest: the last map, None before the first; failed: what failed since the last solution, empty when nothing did.
     """
 
     def __init__(self, store: Store, cfg: LaserConfig, every: float, starts: Starts = nobody) -> None:
         self.newest: WovenTeam | None = None
-        self.failed = self.died = ""
+        self.failed = self._died = ""
+        self._moved = time.monotonic()
         self._team = LiveLaserTeam(store, replace(cfg, method="graph", threads=1), starts)
         self._every = every
         self._heard: dict[str, int] = {}
@@ -67,6 +67,12 @@ class LaserWeaver:
 
     def start(self) -> None:
         self._thread.start()
+
+    @property
+    def died(self) -> str:
+        """What ended its thread, or that it has stood still for too long; empty while it lives."""
+        hung = time.monotonic() > self._moved + HUNG
+        return self._died or (f"it has stood still for {HUNG:g} s" if hung else "")
 
     def hear(self, heard: Mapping[str, int]) -> None:
         """Robot -> the first number missing: all before it is to be worked in."""
@@ -93,7 +99,7 @@ class LaserWeaver:
         try:
             self._run()
         except BaseException as error:  # noqa: BLE001  (who started it is told, and starts another)
-            self.died = in_words(error)
+            self._died = in_words(error)
 
     def _run(self) -> None:
         followed = {"": -1}
@@ -130,7 +136,8 @@ class LaserWeaver:
                 if self._work is None and time.monotonic() >= self._search_due + late:
                     self._search()
             except Exception as error:  # noqa: BLE001  (what fails is told; the thread goes on with what comes)
-                self.failed, followed = in_words(error), heard
+                self.failed, followed, unsolved = in_words(error), heard, True
+                self._weave_due = max(self._weave_due, time.monotonic() + self._every)
 
     def _taken(self) -> set[str]:
         """The robots that begin again."""
@@ -145,6 +152,7 @@ class LaserWeaver:
 
     def _next(self, followed: Mapping[str, int], due: float) -> dict[str, int] | None:
         """What was heard by now, as soon as it is more than `followed` or something is due; None to end."""
+        self._moved = time.monotonic()
         with self._changed:
             ended = self._work is not None and self._work[-1].done()
             if not (self._ended or self._void or ended) and self._heard == followed:
@@ -181,6 +189,7 @@ class LaserWeaver:
                 merge = work.merge.result()
             except Exception as error:  # noqa: BLE001  (no tie comes of it, and no harm to others)
                 merge = Merge(work.trial.a, work.trial.b, merged=False, reason=in_words(error))
+                self.failed = f"{merge.a} and {merge.b}, tried on each other: {merge.reason}"
             if {work.trial.a, work.trial.b} <= self._team.robots.keys():
                 self._team.search.decided(work.trial, merge)
             return _Searched

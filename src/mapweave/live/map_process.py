@@ -303,7 +303,7 @@ class MapProcess:
                 state = float("-inf")
             if now >= clock + CLOCK_EVERY:
                 clock = now
-                self._ask_clocks()
+                self._safely("asking for clocks", self._ask_clocks)
             if now >= state + STATE_EVERY:
                 state = now
                 self._safely("telling the map", self.tell_state)
