@@ -1,8 +1,10 @@
 """Two messages of one number, two histories of one name: neither is used until the robot's own history decides."""
 
+import msgspec
 import numpy as np
 import pytest
 
+from mapweave.live.door import decode
 from mapweave.live.inbox import AGAIN, AHEAD, IN_VAIN, PATIENCE, STATED, Inbox
 from mapweave.live.map_process import MOST_A_SECOND, MOST_SPEAKERS, OTHERS, Intake
 from mapweave.live.messages import Closed, Header, RobotState, Rows, Status, encode
@@ -184,6 +186,16 @@ def test_invented_robots_give_their_place_to_one_that_is_there(store):
     assert len(inbox.ledgers) == STATED
     hear(inbox, TOLD)
     assert inbox.log("r1").log_hash == LOG.log_hash
+
+
+def test_robots_that_are_expected_by_name_have_a_place_each_however_many(store):
+    names = [f"r{k}" for k in range(1, 3 * STATED)]
+    inbox = Inbox(store, names)
+    for k, name in enumerate(names, 1):
+        header = msgspec.structs.replace(decode(TOLD[0]), robot=name, log_robot=f"robot{k}")
+        inbox.offer(name, encode(header), 0.0)
+    assert [ledger.next for ledger in inbox.ledgers.values()] == [1] * len(names)
+    assert not inbox.refused
 
 
 def test_a_number_far_ahead_is_not_kept_and_a_last_number_nobody_told_is_forgotten(store):

@@ -7,6 +7,7 @@ from threading import Event
 import pytest
 
 from mapweave.landmarks.config import EkfSlamConfig
+from mapweave.live import map_process
 from mapweave.live import robot as robots
 from mapweave.live.door import decode
 from mapweave.live.inbox import Inbox
@@ -77,6 +78,21 @@ def test_maps_are_told_no_oftener_than_their_size_allows_and_again_for_who_comes
         *at, _ = [t for t, m in told(period, 30.0) if isinstance(m, Snapshot)]  # the last one as soon as it is over
         assert least - 1e-9 <= min(b - a for a, b in pairwise(at))
         assert max(b - a for a, b in pairwise(at)) <= most
+
+
+def test_a_map_of_more_than_a_message_holds_is_told_of_and_what_is_left_sent(monkeypatch, tmp_path):
+    said = []
+    with Store(tmp_path / "m", "a map") as store, session(Network(listen=("tcp/127.0.0.1:0",))) as alone:
+        process = MapProcess("map", alone, Topics("team"), store, Inbox(store), said.append)
+        for k in range(2):
+            process.finding(f"finding {k}")
+        monkeypatch.setattr(map_process, "LARGEST", len(encode(process.state())) - 1)
+        sent = []
+        monkeypatch.setattr(map_process, "put", lambda _, key, payload: sent.append(decode(payload)))
+        process.tell_state()
+        process.tell_state()
+    assert said.count("0 landmarks and what is decided are more than a message holds: not told") == 1
+    assert [state.map for state in sent] == ["map", "map"]
 
 
 def test_a_robot_that_nobody_hears_says_so_once(told):

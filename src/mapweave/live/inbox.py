@@ -155,7 +155,7 @@ class Inbox:
         """Take in a message under the key of `speaker`; what cannot be used is counted and told, never raised."""
         try:
             self._expect(speaker)  # before it costs to read what it says
-            if speaker not in self.ledgers and len(self.ledgers) >= STATED:
+            if speaker not in self.ledgers:
                 self._make_room()
             self._take(speaker, decode(payload), payload, now)
         except RefusedError as refused:
@@ -207,8 +207,7 @@ class Inbox:
         """The ledger of this history, begun when it is the first of its robot."""
         ledger = self.ledgers.get(speaker)
         if ledger is None:
-            if len(self.ledgers) >= STATED:
-                self._make_room()
+            self._make_room()
             ledger = self.ledgers[speaker] = Ledger(speaker, run, there=speaker in self._there)
             self._store.set_about(f"run of {speaker}", run)
             self._store.set_about(JOINED, " ".join(self.ledgers))
@@ -220,12 +219,17 @@ class Inbox:
         return ledger
 
     def _make_room(self) -> None:
-        """Who was only spoken of gives its place to who comes; raises RefusedError when there is nobody."""
+        """Who was only spoken of gives its place to who comes; raises RefusedError when there is nobody.
+
+        Robots that are expected by name have a place each.
+        """
+        if self._expected is not None or len(self.ledgers) < STATED:
+            return
         for name, ledger in self.ledgers.items():
             if not (ledger.there or ledger.own or ledger.count):
                 del self.ledgers[name]
                 return
-        raise RefusedError("too many robots", f"{STATED} are known")
+        raise RefusedError("too many robots", f"{STATED} are known; those that --robots names have a place each")
 
     def _number(self, ledger: Ledger, message: Numbered, payload: bytes, now: float) -> None:
         ledger.heard.append(now)

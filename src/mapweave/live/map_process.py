@@ -13,6 +13,7 @@ from threading import Event, Lock
 from time import monotonic
 from typing import TYPE_CHECKING, Any, TypeVar
 
+import msgspec
 import numpy as np
 
 from ..core.errors import DataError, UsageError
@@ -539,9 +540,14 @@ class MapProcess:
 
     def tell_state(self) -> None:
         """Everybody hears how the map stands, who is there and what it has."""
-        payload = encode(self.state())
-        if len(payload) <= LARGEST:
-            put(self._session, self._topics.map_state(self.name), payload)
+        state = self.state()
+        payload = encode(state)
+        if len(payload) > LARGEST:
+            self.finding(
+                f"{len(state.landmarks)} landmarks and what is decided are more than a message holds: not told"
+            )
+            payload = encode(msgspec.structs.replace(state, landmarks=[], decisions=list(self.findings)))
+        put(self._session, self._topics.map_state(self.name), payload)
 
     def summary(self) -> list[str]:
         """A line a robot: what was heard and what was refused."""

@@ -110,7 +110,7 @@ class RobotProcess:
         self._unsaved: list[tuple[str, int, bytes]] = []
         self._full_until = 0.0
         self._snapshot_due = float("-inf")
-        self._unheard_told = False
+        self._unheard_told = self._large_told = False
         self._declared: list[object] = []
 
     def join(self) -> None:
@@ -314,6 +314,9 @@ class RobotProcess:
         payload = b"" if snapshot is None else encode(snapshot)
         if 0 < len(payload) <= LARGEST:
             put(self._session, self._topics.snapshot(self.name), payload)
+        elif payload and not self._large_told:
+            self._large_told = True
+            self._say(f"{self.name}: its map is more than a message holds: the shared map holds it at the end alone")
         self._snapshot_due = now + pause_after(len(payload))
         return True
 
