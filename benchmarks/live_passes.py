@@ -1,6 +1,6 @@
 """What a map process of N laser robots does while they drive, without a network: processor time of its passes.
 
-    python benchmarks/live_passes.py [--robots 50] [--seconds 30] [--world 0] [--apart | --table | --scanners]
+    python benchmarks/live_passes.py [--robots 50] [--seconds 30] [--apart | --table | --scanners | --growth 50,1000]
 
 The weaver of a map process runs on a clock of its own, which stands still but for what it computes and what it waits
 for, so that other work on the machine changes nothing: a message is there when this clock says so, and what takes place
@@ -26,8 +26,13 @@ from mapweave.api.laser_result import starts_among
 from mapweave.core import se2
 from mapweave.core.workers import keep_one_blas_thread
 from mapweave.live import laser_weaver
+from mapweave.live.inbox import Inbox
 from mapweave.live.laser_weaver import LaserWeaver
+from mapweave.live.map_process import MapProcess
+from mapweave.live.messages import encode
 from mapweave.live.store import Store
+from mapweave.live.topics import Topics
+from mapweave.live.transport import Network, session
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.merge_search import MergeConfig
 
@@ -110,6 +115,7 @@ class Clocked(LaserWeaver):
         self._team = Team(store, self._team.cfg, starts)
         self._team.took, self._team.drawn = defaultdict(list), self._drawn
         self._beside = Beside(clock)
+        laser_weaver.beside = self._beside.submit
         self.clock, self.coming, self.payloads, self.put = clock, coming, payloads, 0
         self.before = memory("VmRSS")
         self.came: dict[str, int] = {}
@@ -191,12 +197,12 @@ def off(weaver: Clocked, ways: int, world: int, sensor: str = "laser") -> list[f
         errors = []
         for c in tried.merge.closures:
             at = []
-            for k, ids, session, (log, truth) in zip((c.first, c.second), tried.ids, sessions, rounds, strict=True):
-                seen = np.flatnonzero(session.ids == ids[k])
+            for k, ids, driven_by, (log, truth) in zip((c.first, c.second), tried.ids, sessions, rounds, strict=True):
+                seen = np.flatnonzero(driven_by.ids == ids[k])
                 if len(seen):
                     lasts = log.odometry.t[-1] - log.odometry.t[0] + 0.2
                     first = log.odometry.t[0]
-                    t = first + (session.keyframes.nodes[int(seen[0])].t - first) % lasts
+                    t = first + (driven_by.keyframes.nodes[int(seen[0])].t - first) % lasts
                     at.append(se2.interpolate(np.array([t]), truth.t, truth.pose)[0])
             if c.accepted and len(at) == 2:
                 errors.append(float(np.hypot(*se2.between(se2.between(*at), c.measured)[:2])))
@@ -215,12 +221,13 @@ def main() -> None:
     parser.add_argument("--apart", action="store_true", help="nobody says where the robots start from")
     parser.add_argument("--profile", action="store_true", help="where the time goes, by function")
     parser.add_argument("--table", action="store_true", help="ties in two offices, with starts told and without")
+    parser.add_argument("--growth", default="", help="robots as 50,200,1000: how each cost grows with the team")
     parser.add_argument("--scanners", action="store_true", help="what robots with a `--sensor scanner` cost")
     given = parser.parse_args()
     keep_one_blas_thread()
     warmed()
-    if given.table or given.scanners:
-        (table if given.table else scanners)(given)
+    if given.table or given.scanners or given.growth:
+        (table if given.table else scanners if given.scanners else growth)(given)
         return
     profile = cProfile.Profile() if given.profile else None
     weaver, passes = driven(given, profile)
@@ -289,6 +296,47 @@ def scanners(given: argparse.Namespace) -> None:
         print(
             f"| {robots} | {told_kB:.1f} kB/s | {each:.2f} s | {cores:.2f} |"
             f" {np.median(late):.2f} s | {np.quantile(late, 0.99):.2f} s | {grown:.0f} MB | {parts.count(1)} |",
+            flush=True,
+        )
+
+
+def heard(robots: int, given: argparse.Namespace) -> tuple[float, float, int]:
+    """Processor time a message in the inbox and of a state that is told [s], and the state's bytes."""
+    coming, payloads = told(robots, given.seconds, given.rate, given.ways, given.world, given.sensor)
+    names = [f"r{k}" for k in range(1, robots + 1)]
+    with tempfile.TemporaryDirectory() as folder, Store(Path(folder, "s"), "a map") as store:
+        inbox = Inbox(store, names)
+        begin = time.process_time()
+        for k, (at, robot, seq) in enumerate(coming, 1):
+            inbox.offer(robot, payloads[robot, seq], at)
+            if k % robots == 0:
+                inbox.save()
+        offered = time.process_time() - begin
+        with session(Network(listen=("tcp/127.0.0.1:0",))) as alone:
+            process = MapProcess("map", alone, Topics("team"), store, inbox, lambda _: None)
+            process.shared.meet(names)
+            begin = time.process_time()
+            state = encode(process.state())
+            return offered / len(coming), time.process_time() - begin, len(state)
+
+
+def growth(given: argparse.Namespace) -> None:
+    """Markdown: what each thing costs a map process with so many robots, by replaying their messages alone."""
+    head = ["robots", "a message in the inbox", "followed, a robot-minute", "drawn", "choosing a pair", "trying it"]
+    head += ["solving", "a state told", "its size", "memory a robot", "in the map, p99", "cores"]
+    print(f"| {' | '.join(head)} |", "|---" * len(head) + "|", sep="\n", flush=True)
+    for robots in map(int, given.growth.split(",")):
+        case = argparse.Namespace(**{**vars(given), "robots": robots})
+        message, state, size = heard(robots, given)
+        weaver, passes = driven(case)
+        minutes, late = robots * given.seconds / 60, np.quantile(weaver.late, 0.99)
+        each = {name: float(np.median(passes[name])) for name in ("draw", "trial", "PairTrial", "Weaving")}
+        grown = (max(kB for _, kB in weaver.grown) - weaver.before) / 1024 / robots
+        cores = sum(map(sum, passes.values())) / weaver.clock.monotonic()
+        print(
+            f"| {robots} | {1e3 * message:.2f} ms | {sum(passes['follow']) / minutes:.2f} s | {each['draw']:.2f} s |"
+            f" {each['trial']:.2f} s | {each['PairTrial']:.2f} s | {each['Weaving']:.2f} s | {1e3 * state:.0f} ms |"
+            f" {size / 1e3:.0f} kB | {grown:.1f} MB | {late:.1f} s | {cores:.2f} |",
             flush=True,
         )
 
