@@ -6,7 +6,8 @@ import socket
 import subprocess
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
 from contextlib import contextmanager, suppress
 
 import numpy as np
@@ -121,6 +122,23 @@ class LossyRelay(Relay):
         while not stop.wait(min(rng.exponential(every), 3.0 * every)):
             self.cuts += 1
             self.cut(float(rng.uniform(0.0, longest)))
+
+
+def killed_at_random(fleet, start: Mapping[str, Callable], kills: int, rng: np.random.Generator) -> Counter:
+    """Each of the processes begun, and killed and begun again `kills` times, in a random order at random moments.
+
+    How often each was: one that had ended before its turn was not.
+    """
+    for begin in start.values():
+        begin()
+    killed: Counter = Counter()
+    for name in rng.permutation([name for name in start for _ in range(kills)]).tolist():
+        time.sleep(float(rng.uniform(0.2, 4.0)))
+        if fleet.running[name].poll() is None:
+            fleet.kill(name)
+            start[name]()
+            killed[name] += 1
+    return killed
 
 
 def ip(*words: str) -> bool:

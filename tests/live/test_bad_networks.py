@@ -13,7 +13,7 @@ from mapweave.cli import _run
 from mapweave.live import robot as robot_module
 from mapweave.live.transport import Network
 
-from .bad_network import LossyRelay, Relay, ip, lossy, two_namespaces
+from .bad_network import LossyRelay, Relay, ip, killed_at_random, lossy, two_namespaces
 from .processes import free_endpoint, same_result
 
 pytestmark = pytest.mark.drawn
@@ -40,7 +40,7 @@ def test_late_and_cut_off_twice_the_map_is_the_same(fleet, direct, delay, lease)
 
 @pytest.mark.slow
 def test_a_line_that_loses_a_fifth_of_its_packets_and_breaks_off_at_random_changes_nothing(fleet, direct):
-    relays = [LossyRelay(fleet.at, delay=0.15, loss=0.2, seed=seed) for seed in (1, 2)]
+    relays = [LossyRelay(fleet.at, delay=0.5, loss=0.2, seed=seed) for seed in (1, 2)]
     stop = threading.Event()
     breaking = [threading.Thread(target=relay.break_off, args=(stop, 4.0, 3.0)) for relay in relays]
     fleet.map()
@@ -273,17 +273,17 @@ def test_messages_lost_told_twice_and_in_any_order_by_jumping_clocks_give_the_sa
     same_result(direct, tmp_path / "out")
 
 
-@pytest.mark.long
-def test_killed_fifty_times_at_random_moments_the_map_is_the_same(fleet, direct):
-    rng = np.random.default_rng(5)
-    start = {"map": fleet.map, "r1": lambda: fleet.robot("r1", rate="0.5"), "r2": lambda: fleet.robot("r2", rate="0.5")}
-    for begin in start.values():
-        begin()
-    for _ in range(50):
-        time.sleep(float(rng.uniform(0.2, 4.0)))
-        name = str(rng.choice(list(start)))
-        if fleet.running[name].poll() is None:
-            fleet.kill(name)
-            start[name]()
+@pytest.mark.slow
+@pytest.mark.parametrize(("kills", "rate"), [(2, "4"), pytest.param(50, "0.15", marks=pytest.mark.long)])
+def test_every_process_killed_at_random_moments_again_and_again_the_map_is_the_same(fleet, direct, kills, rate):
+    start = {
+        "map": fleet.map,
+        "view": lambda: fleet.start("view", "view", "--port", "0", "--connect", fleet.at),
+        "r1": lambda: fleet.robot("r1", rate=rate),
+        "r2": lambda: fleet.robot("r2", rate=rate),
+    }
+    killed = killed_at_random(fleet, start, kills, np.random.default_rng(5))
     assert fleet.wait("map", 400) == 0, fleet.said("map")
+    assert set(killed) == set(start)
+    assert not any("Traceback" in fleet.said(name) for name in start)
     same_result(direct, fleet.folder / "out-map")

@@ -79,8 +79,26 @@ def test_scans_that_contradict_what_was_announced_are_refused():
     refused("Rows from a robot that announced a laser", Rows(robot="r1", run="a", seq=1))
 
 
-def test_a_laser_robot_told_message_by_message_stands_where_its_scans_one_by_one_put_it():
-    log, cfg = drive(), LaserConfig(method="graph")
+def begun_again_with_another_scanner():
+    """The log of a robot whose scanner, from the middle of its drive on, has a third of the beams."""
+    log = drive()
+    half = len(log.scans) // 2
+    coarse = [
+        replace(
+            scan,
+            ranges=scan.ranges[::3].copy(),
+            hit=scan.hit[::3].copy(),
+            intensities=None if scan.intensities is None else scan.intensities[::3].copy(),
+            angle_increment=3.0 * scan.angle_increment,
+        )
+        for scan in log.scans[half:]
+    ]
+    return replace(log, scans=(*log.scans[:half], *coarse))
+
+
+@pytest.mark.parametrize("made", [drive, begun_again_with_another_scanner])
+def test_a_laser_robot_told_message_by_message_stands_where_its_scans_one_by_one_put_it(made):
+    log, cfg = made(), LaserConfig(method="graph")
     first, *rest = told(log)
     robot = LaserRobot(first, cfg)
     for message in [first, *rest]:
@@ -93,6 +111,9 @@ def test_a_laser_robot_told_message_by_message_stands_where_its_scans_one_by_one
         ).pose  # fmt: skip
     np.testing.assert_allclose(robot.status()[0], pose, atol=1e-9)
     assert robot.t == log.stamps()[-1]
+    record = LaserRecord(first)
+    again = whole_log(first, [part for part in map(record.add, rest) if part is not None])
+    assert [scan.ranges.tobytes() for scan in again.scans] == [scan.ranges.tobytes() for scan in log.scans]
 
 
 @pytest.mark.slow
