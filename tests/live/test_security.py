@@ -7,18 +7,20 @@ import re
 import shutil
 import time
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from threading import Event, Thread
 
 import pytest
 
 from mapweave.api.live import INSECURE, live_keys, live_map, live_robot
+from mapweave.api.live_laser import LiveLaser
 from mapweave.api.simulate import simulate_landmarks
 from mapweave.cli import _run
 from mapweave.cli.live_door import FORGED, STRANGER, Denials, plain, reason_of
 from mapweave.core.errors import DataError, UsageError
 from mapweave.live import transport
-from mapweave.live.credentials import Authority, _authority, issue, make_team, tls_settings
+from mapweave.live.credentials import Authority, _authority, expect_heard, issue, make_team, tls_settings
 from mapweave.live.messages import encode
 from mapweave.live.robot import RobotProcess
 from mapweave.live.store import Store
@@ -109,6 +111,35 @@ def test_a_folder_that_does_not_serve_is_told_in_one_line(keys, tmp_path):
     (home / "key.pem").write_text("none")
     with pytest.raises(UsageError, match="cannot be read"):
         tls_settings(home)
+
+
+@pytest.mark.parametrize(
+    ("as_whom", "told"),
+    [
+        (lambda net: live_robot("r2", "sim:landmarks", network=net), "is robot r1's: r2 would not be heard with it"),
+        (lambda net: live_map("out", network=net), "is robot r1's: a map process would not be heard with it"),
+        (lambda net: LiveLaser("r3", network=net), "is robot r1's: r3 would not be heard with it"),
+        (lambda net: live_robot("r1", "sim:landmarks", network=replace(net, team="b")), "of team team, and this is"),
+    ],
+)
+def test_who_shows_a_certificate_that_none_would_hear_him_with_is_told(keys, tmp_path, monkeypatch, as_whom, told):
+    monkeypatch.chdir(tmp_path)
+    network = Network(connect=("tls/127.0.0.1:9",), tls=keys / "team" / "r1")
+    with pytest.raises(UsageError, match=told):
+        as_whom(network)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_certificate_of_another_team_or_of_nobody_on_the_list_is_told(keys, tmp_path):
+    home = tmp_path / "r1"
+    shutil.copytree(keys / "team" / "r1", home)
+    shutil.copy(keys / "strangers" / "r1" / "authority.pem", home)
+    with pytest.raises(UsageError, match=r"authority\.pem did not sign certificate\.pem: they are of two teams"):
+        tls_settings(home)
+    shutil.copy(keys / "team" / "r1" / "authority.pem", home)
+    (home / "access.json").write_text('{"team": "team", "names": {"r2": "robot"}}')
+    with pytest.raises(UsageError, match="r1 is not on the list of who may speak"):
+        expect_heard(home, "r1", "team", "robot")
 
 
 def test_keys_are_kept_when_robots_are_added_and_secrets_are_ones_own(tmp_path):

@@ -23,7 +23,7 @@ from ..core.version import __version__
 from ..core.workers import one_blas_thread
 from ..io.directory import check_target, write_json
 from ..live.bag_feed import BagFeed
-from ..live.credentials import make_team
+from ..live.credentials import expect_heard, make_team
 from ..live.inbox import Inbox
 from ..live.isolation import without_culprits
 from ..live.landmark_robot import LandmarkRobot
@@ -170,6 +170,8 @@ def live_robot(
     _check_pace(rate, period, linger)
     network = network or Network()
     check_name(network.team, "--team")
+    if network.tls is not None:
+        expect_heard(network.tls, name, network.team, "robot")
     path = Path("mapweave-live", f"{network.team}-{name}.sqlite") if history is None else Path(history)
     stop = stop or Event()
     if str(source) == ROS2:
@@ -331,6 +333,8 @@ def live_map(
             "anyone who reaches this network could write the map: --tls FOLDER (mapweave live keys makes it), "
             "--listen tcp/127.0.0.1:7447 for this machine alone, or --insecure"
         )
+    if network.tls is not None:
+        expect_heard(network.tls, name, network.team, "map")
     options = MapOptions(config=config, seed=seed)
     known = start or {}
     landmarks, weaving = _landmark_config(options.config), _laser_config(options.config)

@@ -20,6 +20,7 @@ from ..core.records import Scan, frozen
 from ..core.workers import one_blas_thread
 from ..io.laser_stream import NOWHERE, LaserStream, Numbers
 from ..live.columns import square
+from ..live.credentials import expect_heard
 from ..live.laser_feed import ScanFeed, log_robot
 from ..live.laser_robot import LaserRobot
 from ..live.messages import Header, check_name
@@ -98,6 +99,8 @@ class LiveLaser:
         check_name(name)
         network = network or Network()
         check_name(network.team, "--team")
+        if network.tls is not None:
+            expect_heard(network.tls, name, network.team, "robot")
         if not 0 < period < np.inf:
             raise UsageError(f"period: expected seconds above 0, found {period}")
         if not linger >= 0:

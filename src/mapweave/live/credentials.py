@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cryptography import x509
+from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
@@ -84,12 +85,8 @@ def issue(authority: Authority, home: Path, name: str, begin: dt.datetime, end: 
 
 def tls_settings(home: Path, now: dt.datetime | None = None) -> dict[str, object]:
     """Zenoh's settings for the process whose certificate is in `home`; raises UsageError when it does not serve."""
-    for name in (AUTHORITY, CERTIFICATE, KEY, ACCESS):
-        if not (home / name).is_file():
-            raise UsageError(f"--tls {home}: expected {name} there, found none")
     _check_pair(home, now or dt.datetime.now(dt.UTC))
-    known = _known(home.parent) if not (home / ACCESS).exists() else _access(home / ACCESS)[1]
-    team = _access(home / ACCESS)[0]
+    team, known = _access(home / ACCESS)
     where = {name: str((home / name).absolute()) for name in (AUTHORITY, CERTIFICATE, KEY)}
     return {
         "transport/link/tls": {
@@ -106,6 +103,23 @@ def tls_settings(home: Path, now: dt.datetime | None = None) -> dict[str, object
         "scouting/multicast/enabled": False,
         "access_control": access_control(team, known),
     }
+
+
+def expect_heard(home: Path, name: str, team: str, role: str) -> None:
+    """Raises UsageError where the others would refuse all that this process says: it shows the certificate in `home`.
+
+    role: robot or map, as on the access list.
+    """
+    certificate = _check_pair(home, dt.datetime.now(dt.UTC))
+    its_team, names = _access(home / ACCESS)
+    holder = str(certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)[0].value)
+    if its_team != team:
+        raise UsageError(f"--tls {home}: of team {its_team}, and this is team {team}")
+    if holder not in names:
+        raise UsageError(f"--tls {home}: {holder} is not on the list of who may speak, {ACCESS}")
+    if names[holder] != "map" and (role == "map" or holder != name):
+        told = "a map process" if role == "map" else name
+        raise UsageError(f"--tls {home}: the certificate is robot {holder}'s: {told} would not be heard with it")
 
 
 def access_control(team: str, names: dict[str, str]) -> dict[str, object]:
@@ -198,9 +212,13 @@ def _access(path: Path) -> tuple[str, dict[str, str]]:
     return check_name(team, there, DataError), {check_name(str(n), there, DataError): str(r) for n, r in names.items()}
 
 
-def _check_pair(home: Path, now: dt.datetime) -> None:
-    """Raises UsageError unless key and certificate belong together and the certificate is valid now."""
+def _check_pair(home: Path, now: dt.datetime) -> x509.Certificate:
+    """The certificate; UsageError unless it is valid now, of the authority beside it, and the key belongs to it."""
+    for name in (AUTHORITY, CERTIFICATE, KEY, ACCESS):
+        if not (home / name).is_file():
+            raise UsageError(f"--tls {home}: expected {name} there, found none")
     try:
+        authority = x509.load_pem_x509_certificate((home / AUTHORITY).read_bytes())
         certificate = x509.load_pem_x509_certificate((home / CERTIFICATE).read_bytes())
         key = serialization.load_pem_private_key((home / KEY).read_bytes(), None)
     except (ValueError, TypeError) as error:
@@ -212,3 +230,8 @@ def _check_pair(home: Path, now: dt.datetime) -> None:
         raise UsageError(f"--tls {home}: the certificate expired on {certificate.not_valid_after_utc:%Y-%m-%d}")
     if now < certificate.not_valid_before_utc:
         raise UsageError(f"--tls {home}: the certificate begins on {certificate.not_valid_before_utc:%Y-%m-%d}")
+    try:
+        certificate.verify_directly_issued_by(authority)
+    except (ValueError, TypeError, InvalidSignature):
+        raise UsageError(f"--tls {home}: {AUTHORITY} did not sign {CERTIFICATE}: they are of two teams") from None
+    return certificate
