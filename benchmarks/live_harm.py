@@ -1,6 +1,6 @@
 """A live team on a bad day: what is harmed, how often, and whether the map has the same bytes all the same.
 
-    PYTHONPATH=. python benchmarks/live_harm.py [--sensor landmarks,laser] [--kills 50] [--seed 1] [--still 30]
+    python benchmarks/live_harm.py [--sensor landmarks,laser] [--kills 50] [--seed 1] [--still 30]
 
 Two robots drive a simulated log over links that are 500 ms late and lose a fifth of their packets, which TCP tells
 again; the map process, a view and both robots are each killed `--kills` times at random moments and begun again, and
@@ -10,11 +10,14 @@ of the same logs.
 
 import argparse
 import signal
+import sys
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # processes and links are those of the tests
 from tests.live.bad_network import LossyRelay, killed_at_random
 from tests.live.processes import Fleet, same_result
 
