@@ -71,8 +71,10 @@ TABLES = (
     Table("live", "docs/live.md", bench("live", "--out", "docs/images"), "stdout"),
     Table("live explore", "docs/live.md", bench("live_explore"), "stdout"),
     Table("live ties", "docs/live.md", bench("live_passes", "--table", "--seconds", "60"), "stdout"),
-    Table("live growth", "docs/live.md", bench("live_passes", "--growth", "10,50,1000", "--seconds", "10"), "stdout"),
-    Table("live harm", "docs/live.md", bench("live_harm", "--sensor", "landmarks", "--kills", "50"), "stdout"),
+    Table(
+        "live growth", "docs/live.md", bench("live_passes", "--growth", "10,50,200,1000", "--seconds", "10"), "stdout"
+    ),
+    Table("live harm", "docs/live.md", bench("live_harm", "--kills", "50"), "stdout"),
     Table("live scanners", "docs/live.md", bench("live_passes", "--scanners"), "stdout"),
     Table("live laps", "docs/live.md", bench("live_laps"), "stdout"),
     Table(
