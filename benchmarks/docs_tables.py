@@ -71,10 +71,8 @@ TABLES = (
     Table("live", "docs/live.md", bench("live", "--out", "docs/images"), "stdout"),
     Table("live explore", "docs/live.md", bench("live_explore"), "stdout"),
     Table("live ties", "docs/live.md", bench("live_passes", "--table", "--seconds", "60"), "stdout"),
-    Table(
-        "live growth", "docs/live.md", bench("live_passes", "--growth", "10,50,200,1000", "--seconds", "10"), "stdout"
-    ),
-    Table("live harm", "docs/live.md", bench("live_harm", "--kills", "50"), "stdout"),
+    Table("live growth", "docs/live.md", bench("live_passes", "--growth", "10:10,50:10,200:6,1000:6"), "stdout"),
+    Table("live harm", "docs/live.md", bench("live_harm", "--kills", "50,8", "--still", "30,10"), "stdout"),
     Table("live scanners", "docs/live.md", bench("live_passes", "--scanners"), "stdout"),
     Table("live laps", "docs/live.md", bench("live_laps"), "stdout"),
     Table(

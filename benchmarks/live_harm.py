@@ -1,11 +1,11 @@
 """A live team on a bad day: what is harmed, how often, and whether the map has the same bytes all the same.
 
-    python benchmarks/live_harm.py [--sensor landmarks,laser] [--kills 50] [--seed 1] [--still 30]
+    python benchmarks/live_harm.py [--sensor landmarks,laser] [--kills 50,8] [--still 30,10] [--seed 1]
 
 Two robots drive a simulated log over links that are 500 ms late and lose a fifth of their packets, which TCP tells
 again; the map process, a view and both robots are each killed `--kills` times at random moments and begun again, and
-the map process stands still (SIGSTOP) for `--still` seconds in the end. The map is compared with that of `mapweave map`
-of the same logs.
+the map process stands still (SIGSTOP) for `--still` seconds in the end, as told for each sensor. The map is compared
+with that of `mapweave map` of the same logs.
 """
 
 import argparse
@@ -90,14 +90,15 @@ def harmed(sensor: str, kills: int, seed: int, still: float) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sensor", default="landmarks,laser")
-    parser.add_argument("--kills", type=int, default=50)
+    parser.add_argument("--kills", default="50,8")
+    parser.add_argument("--still", default="30,10")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--still", type=float, default=30.0)
     given = parser.parse_args()
     head = ["robots", "killed", "packets lost", "stood still", "tracebacks", "map", "took"]
     print(f"| {' | '.join(head)} |", "|---" * len(head) + "|", sep="\n", flush=True)
-    for sensor in given.sensor.split(","):
-        print(harmed(sensor, given.kills, given.seed, given.still), flush=True)
+    rows = (words.split(",") for words in (given.sensor, given.kills, given.still))
+    for sensor, kills, still in zip(*rows, strict=True):
+        print(harmed(sensor, int(kills), given.seed, float(still)), flush=True)
 
 
 if __name__ == "__main__":

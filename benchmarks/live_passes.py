@@ -1,6 +1,6 @@
 """What a map process of N laser robots does while they drive, without a network: processor time of its passes.
 
-    python benchmarks/live_passes.py [--robots 50] [--seconds 30] [--apart | --table | --scanners | --growth 50,1000]
+    python benchmarks/live_passes.py [--robots 50] [--seconds 30] [--apart | --table | --scanners | --growth 50:10]
 
 The weaver of a map process runs on a clock of its own, which stands still but for what it computes and what it waits
 for, so that other work on the machine changes nothing: a message is there when this clock says so, and what takes place
@@ -221,7 +221,11 @@ def main() -> None:
     parser.add_argument("--apart", action="store_true", help="nobody says where the robots start from")
     parser.add_argument("--profile", action="store_true", help="where the time goes, by function")
     parser.add_argument("--table", action="store_true", help="ties in two offices, with starts told and without")
-    parser.add_argument("--growth", default="", help="robots as 50,200,1000: how each cost grows with the team")
+    parser.add_argument(
+        "--growth",
+        default="",
+        help="robots and seconds of their drive as 50:10,1000:6: how each cost grows with the team",
+    )
     parser.add_argument("--scanners", action="store_true", help="what robots with a `--sensor scanner` cost")
     given = parser.parse_args()
     keep_one_blas_thread()
@@ -325,11 +329,12 @@ def growth(given: argparse.Namespace) -> None:
     head = ["robots", "a message in the inbox", "followed, a robot-minute", "drawn", "choosing a pair", "trying it"]
     head += ["solving", "a state told", "its size", "memory a robot", "in the map, p99", "cores"]
     print(f"| {' | '.join(head)} |", "|---" * len(head) + "|", sep="\n", flush=True)
-    for robots in map(int, given.growth.split(",")):
-        case = argparse.Namespace(**{**vars(given), "robots": robots})
-        message, state, size = heard(robots, given)
+    for row in given.growth.split(","):
+        robots, seconds = int(row.split(":")[0]), float(row.split(":")[1])
+        case = argparse.Namespace(**{**vars(given), "robots": robots, "seconds": seconds})
+        message, state, size = heard(robots, case)
         weaver, passes = driven(case)
-        minutes, late = robots * given.seconds / 60, np.quantile(weaver.late, 0.99)
+        minutes, late = robots * seconds / 60, np.quantile(weaver.late, 0.99)
         each = {name: float(np.median(passes[name])) for name in ("draw", "trial", "PairTrial", "Weaving")}
         grown = (max(kB for _, kB in weaver.grown) - weaver.before) / 1024 / robots
         cores = sum(map(sum, passes.values())) / weaver.clock.monotonic()
