@@ -24,6 +24,7 @@ HASHES = {  # as ROS 2 prints them for these definitions
     ),
 }
 VOLATILE, LATCHED, SENSOR = "::,10:,:,:,,", ":1:,1:,:,:,,", "2::,5:,:,:,,"
+BRIDGED = {VOLATILE: ":1:0:0,10", LATCHED: ":1:1:0,1", SENSOR: ":0:0:0,5"}  # the same as a bridge tells it
 
 
 class Writer:
@@ -223,7 +224,9 @@ class Node:
             zenoh.ext.declare_advanced_subscriber(
                 self.session,
                 key,
-                lambda sample: mine.append((sample.payload.to_bytes(), sample.attachment.to_bytes())),
+                lambda sample: mine.append(
+                    (sample.payload.to_bytes(), sample.attachment and sample.attachment.to_bytes())
+                ),
                 history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1) if latched else None,
                 recovery=beat if latched else None,
                 subscriber_detection=latched,
@@ -236,11 +239,31 @@ class Node:
         return [str(reply.ok.key_expr) for reply in replies if reply.ok]
 
 
+class BridgedNode(Node):
+    """What zenoh-bridge-ros2dds beside a robot puts on the wire for it, written from its sources."""
+
+    def token(self, kind, rest):
+        here = f"@/{self.session.info.zid()}/@ros2_lv"
+        return self.session.liveliness().declare_token(f"{here}/{kind}{rest}" if rest else here)
+
+    def topic(self, name, kind, qos, type_hash=None):
+        name = name.strip("/")
+        told = "" if type_hash == "" else f":typehash={type_hash or HASHES[kind]};"
+        return "/" + "/".join([name.replace("/", "§"), kind.replace("/", "§"), BRIDGED[qos] + told]), name
+
+    def say(self, name, payload):
+        self.out[name].put(payload)
+
+    def graph(self):
+        replies = self.session.liveliness().get("@/*/@ros2_lv/**", timeout=2.0)
+        return [str(reply.ok.key_expr) for reply in replies if reply.ok]
+
+
 class RosDrive:
     """A robot that plays a simulated log in its namespace: scans, transforms, and odometry as a topic or as tf."""
 
-    def __init__(self, session, space, log, mount, *, by_tf=False, domain=0, type_hash=None):
-        self.node = Node(session, "driver", f"/{space}", domain)
+    def __init__(self, session, space, log, mount, *, by_tf=False, domain=0, type_hash=None, node=Node):
+        self.node = node(session, "driver", f"/{space}", domain)
         self.space, self.log, self.mount, self.by_tf = space, log, mount, by_tf
         self.node.publisher(f"/{space}/scan", "sensor_msgs/msg/LaserScan", SENSOR, type_hash)
         self.node.publisher("/tf_static", "tf2_msgs/msg/TFMessage", LATCHED, type_hash)

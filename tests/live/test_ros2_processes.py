@@ -25,6 +25,7 @@ from mapweave.sim.laser_worlds import CorridorConfig, simulate_corridor
 from .processes import Fleet, free_endpoint
 from .ros_peer import (
     HASHES,
+    BridgedNode,
     Node,
     RosDrive,
     open_session,
@@ -117,6 +118,34 @@ def test_one_process_drives_several_robots_each_with_a_history_of_its_own(fleet,
         same_scans(log, d.log)
         assert isinstance(end, Closed)
         assert f"{name}: {end.seq + 1} messages" in fleet.said("r1,r2")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("type_hash", [None, ""])  # since ROS 2 Iron, and before it
+def test_a_robot_of_any_middleware_joins_through_its_bridge_and_gets_map_and_transforms_back(fleet, ros, type_hash):
+    session = ros[1]
+    made = drive(1)
+    one = RosDrive(session, "tb1", made.log, MOUNT, type_hash=type_hash, node=BridgedNode)
+    joins(fleet, "r1")
+    fleet.hears("r1", "hears /tb1/scan through zenoh-bridge-ros2dds, odometry from /tb1/odom")
+    shown = BridgedNode(session, "rviz")
+    shown.hear("/tb1/pose", POSE, type_hash=type_hash)
+    shown.hear("/tf", TF, type_hash=type_hash)
+    one.play(4.0)
+    wait_for(lambda: shown.heard["/tb1/pose"] and shown.heard["/tf"])
+    shown.hear("/tb1/map", GRID, latched=True, type_hash=type_hash)
+    wait_for(lambda: shown.heard["/tb1/map"])
+    assert read_grid(shown.heard["/tb1/map"][-1][0])[0] == "tb1/map"
+    assert {attachment for told in shown.heard.values() for _, attachment in told} == {None}
+    ours = [token.split("/")[3:6] for token in shown.graph() if "§map/" in token]
+    assert ["MP", "tb1§map", "nav_msgs§msg§OccupancyGrid"] in ours
+    one.node.say("/tb1/scan", b"")
+    fleet.hears("r1", "refused: malformed")
+    fleet.interrupt("r1")
+    assert fleet.wait("r1") == 0, fleet.said("r1")
+    log, end = record(fleet.folder / "mapweave-live/team-r1.sqlite", "r1")
+    same_scans(log, made.log)
+    assert isinstance(end, Closed)
 
 
 def test_where_one_of_several_robots_cannot_be_driven_the_others_end_too(ros, tmp_path, monkeypatch):

@@ -82,6 +82,17 @@ def test_a_graph_without_hashes_is_read():
     assert robot.scan.key(0).endswith("LaserScan_/TypeHashNotSupported")
 
 
+def test_what_comes_by_rmw_zenoh_too_is_not_heard_through_the_bridge():
+    kind = cdr.type_hash(cdr.SCAN)
+    both = [
+        Topic(name, cdr.SCAN, kind, bridged=bridged) for name in ("/a/scan", "/b/scan") for bridged in (True, False)
+    ]
+    made = Graph()
+    for k, topic in enumerate(both[:3]):
+        made.put(Entity(0, "ab", 0, k, "MP", "/", "n", topic).token())
+    assert [(r.name, r.scan.bridged) for r in made.robots()] == [("a", False), ("b", True)]
+
+
 def test_tokens_that_go_take_their_robot_with_them():
     made = graph(("/scan", cdr.SCAN))
     made.drop(next(iter(made.entities)))

@@ -4,7 +4,7 @@ import pytest
 
 from mapweave.live.messages import RefusedError
 from mapweave.live.ros2 import cdr
-from mapweave.live.ros2.wire import Attachment, Entity, Qos, Topic, mangled_type
+from mapweave.live.ros2.wire import NO_HASH, Attachment, Entity, Qos, Topic, mangled_type
 
 from . import ros_peer
 
@@ -19,6 +19,11 @@ SCAN_HASH = "RIHS01_64c191398013af96509d518dac71d5164f9382553fce5c1f8cca5be7924b
 TOKEN = (
     "@ros2_lv/3/aac3178e146ba6f1fc6e6a4085e77f21/0/10/MP/%/%tb1/driver/%tb1%scan/"
     f"sensor_msgs::msg::dds_::LaserScan_/{SCAN_HASH}/2::,5:,:,:,,"
+)
+
+
+BRIDGED = (
+    f"@/aac3178e146ba6f1fc6e6a4085e77f21/@ros2_lv/MP/tb1§scan/sensor_msgs§msg§LaserScan/:0:0:0,5:typehash={SCAN_HASH};"
 )
 
 
@@ -45,6 +50,17 @@ def test_a_token_says_who_publishes_what():
     assert read == Entity(3, "aac3178e146ba6f1fc6e6a4085e77f21", 0, 10, "MP", "/tb1", "driver", scan)
     assert read.token() == TOKEN
     assert scan.key(3) == f"3/tb1/scan/sensor_msgs::msg::dds_::LaserScan_/{SCAN_HASH}"
+
+
+def test_a_bridge_says_what_it_passes_on():
+    read = Entity.read(BRIDGED)
+    scan = Topic("/tb1/scan", "sensor_msgs/msg/LaserScan", SCAN_HASH, Qos(reliable=False, depth=5), bridged=True)
+    assert read == Entity(0, "aac3178e146ba6f1fc6e6a4085e77f21", 0, 0, "MP", "/", "zenoh-bridge-ros2dds", scan)
+    assert scan.key(3) == "tb1/scan"
+    assert read.token() == BRIDGED.partition(":typehash")[0]
+    latched = Entity.read(BRIDGED.replace("/:0:0:0,5", "/K::1:").partition(":typehash")[0]).topic
+    assert latched.qos == Qos(transient_local=True)
+    assert latched.type_hash == NO_HASH
 
 
 def test_a_node_at_the_root_has_a_token_without_a_topic():
@@ -89,6 +105,11 @@ def test_quality_of_service_spelled_out_is_read():
         TOKEN.replace("2::,5:,:,:,,", "2"),
         TOKEN.replace("2::,5:,:,:,,", "2::,five:,:,:,,"),
         TOKEN + "/more",
+        BRIDGED.replace("/MP/", "/SS/"),
+        BRIDGED.replace("§msg§", "§"),
+        BRIDGED.replace(":0:0:0,5", ":0"),
+        BRIDGED.replace(":0:0:0,5", ":0:0:0,five"),
+        BRIDGED + "/more",
     ],
 )
 def test_what_is_no_token_is_refused(token):

@@ -134,7 +134,7 @@ def live_robot(
         What the team calls it.
     source
         An MRCLAM data set, a folder with odometry.csv and sightings.csv, a laser log, sim:landmarks or sim:office; or
-        ros2: a robot that drives now, whose ROS 2 runs rmw_zenoh, until `stop`.
+        ros2: a robot that drives now, whose ROS 2 runs rmw_zenoh or has zenoh-bridge-ros2dds beside it, until `stop`.
     robot
         Which robot of the log it is, by key (the one whose number `name` ends with, or the only one).
     follow

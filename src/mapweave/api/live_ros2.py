@@ -1,4 +1,4 @@
-"""A robot whose ROS 2 runs rmw_zenoh, driven as `live_robot` drives a log."""
+"""A ROS 2 robot whose graph is on Zenoh, driven as `live_robot` drives a log."""
 
 import math
 import time

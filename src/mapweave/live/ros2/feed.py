@@ -4,7 +4,7 @@ import re
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import partial
 from queue import Empty, Full, Queue
@@ -14,7 +14,7 @@ from ..messages import Closed, Header, Numbered, RefusedError
 from ..transport import Callback, HistoryConfig, Sample, SampleKind, Session, declare_advanced_subscriber
 from .assembly import NO_ODOMETRY, POSES, Assembly
 from .cdr import ODOMETRY, SCAN, TF, decode, type_hash
-from .wire import NO_HASH, PUBLISHER, SUBSCRIPTION, Attachment, Entity, Qos, Topic, every_token
+from .wire import BRIDGE, NO_HASH, NODE, PUBLISHER, SUBSCRIPTION, Attachment, Entity, Qos, Topic, every_token
 
 Place = tuple[str, ...]  # namespaces, the outermost first
 
@@ -62,10 +62,11 @@ class Graph:
     def published(self, kind: str) -> list[Topic]:
         """Topics of a type that somebody publishes with a hash that we can read, each once, in the order of names.
 
-        Another hash is another definition of the message: it is told in `refused`.
+        Another hash is another definition of the message: it is told in `refused`. What comes by rmw_zenoh too is not
+        heard through the bridge.
         """
         topics: dict[str, Topic] = {}
-        for token, entity in sorted(self.entities.items()):
+        for token, entity in sorted(self.entities.items(), key=lambda one: (one[0].startswith("@/"), one[0])):
             topic = entity.topic
             if entity.kind != PUBLISHER or topic is None or topic.kind != kind:
                 continue
@@ -207,9 +208,10 @@ class RosFeed:
         self._seen = self._first = self._last = 0.0
         self._sequences: dict[bytes, int] = {}
         self._declared: list[object] = []
-        self._declared.append(
-            session.liveliness().declare_subscriber(every_token(asked.domain), Callback(self._token), history=True)
-        )
+        self._declared += [
+            session.liveliness().declare_subscriber(key, Callback(self._token), history=True)
+            for key in every_token(asked.domain)
+        ]
 
     def resume(self, kept: Sequence[Numbered]) -> None:
         """Goes on after a history. Raises RefusedError when that has ended."""
@@ -324,7 +326,12 @@ class RosFeed:
             self.assembly.transforms(message)
 
     def _is_new(self, topic: Topic, attachment: bytes | None) -> bool:
-        """Whether this is the next message of its publisher, or a later one; what is between them was lost."""
+        """Whether this is the next message of its publisher, or a later one; what is between them was lost.
+
+        The bridge tells neither.
+        """
+        if topic.bridged:
+            return True
         if attachment is None:
             raise RefusedError("attachment", f"a message on {topic.name} without one")
         header = Attachment.decode(attachment)
@@ -359,18 +366,20 @@ class RosFeed:
         left = [*([] if scanners else [t.name for t in choice.scanners]), *choice.beside]
         beside = f"; not heard: {', '.join(left)}" if left else ""
         self.member = Member(self._session, self.asked.domain, f"/{choice.name}", node_name(self.asked.name))
-        self.member.declare("NN")
+        if not choice.scan.bridged:
+            self.member.declare(NODE)
         self._last = now
         self._heard_topics((*choice.topics, *scanners))
         scans = " and ".join(topic.name for topic in (choice.scan, *scanners))
-        self._once(f"hears {scans}, odometry from {wheels}{beside}")
+        through = f" through {BRIDGE}" if choice.scan.bridged else ""
+        self._once(f"hears {scans}{through}, odometry from {wheels}{beside}")
 
     def _heard_topics(self, topics: Sequence[Topic]) -> None:
         assert self.member is not None  # noqa: S101  (chosen)
         for topic in topics:
             latched = topic.qos.transient_local
             qos = Qos(topic.kind != SCAN, latched, 100 if topic.kind == TF else 10)
-            self.member.declare(SUBSCRIPTION, Topic(topic.name, topic.kind, topic.type_hash, qos))
+            self.member.declare(SUBSCRIPTION, replace(topic, qos=qos))
             self._declared.append(
                 declare_advanced_subscriber(
                     self._session,

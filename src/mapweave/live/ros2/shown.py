@@ -54,8 +54,10 @@ class Publisher:
     def put(self, message: Any) -> None:
         assert self.entity.topic is not None  # noqa: S101  (of a publisher)
         self.sequence += 1
-        attachment = Attachment(self.sequence, time.time_ns(), self.entity.gid())
-        self.out.put(encode(message, self.entity.topic.kind), attachment=attachment.encode())
+        told = None
+        if not self.entity.topic.bridged:
+            told = Attachment(self.sequence, time.time_ns(), self.entity.gid()).encode()
+        self.out.put(encode(message, self.entity.topic.kind), attachment=told)
 
 
 class RosView:
@@ -137,7 +139,8 @@ class RosView:
         member, robot = self._feed.member, self._feed.robot
         assert member is not None and robot is not None  # noqa: S101, PT018  (shown only then)
         hashed = robot.scan.type_hash != NO_HASH
-        entity = member.declare(PUBLISHER, Topic(name, kind, type_hash(kind) if hashed else NO_HASH, qos))
+        told = type_hash(kind) if hashed else NO_HASH
+        entity = member.declare(PUBLISHER, Topic(name, kind, told, qos, bridged=robot.scan.bridged))
         assert entity.topic is not None  # noqa: S101  (just given)
         kept = qos.transient_local
         out = declare_advanced_publisher(

@@ -1,8 +1,13 @@
-"""How rmw_zenoh puts a ROS graph on Zenoh: keys of topics, liveliness tokens, attachments, as its design document says.
+"""How a ROS graph is put on Zenoh: keys of topics, liveliness tokens, attachments.
 
-A topic's key is `<domain>/<topic>/<type>/<type hash>`. Every node, publisher and subscription holds a token
-`@ros2_lv/<domain>/<session>/<node>/<entity>/<kind>/<enclave>/<namespace>/<name>`, those of a topic followed by
-`/<topic>/<type>/<type hash>/<qos>`, with % for each slash within a part. Every message carries an attachment.
+By rmw_zenoh, as its design document says: a topic's key is `<domain>/<topic>/<type>/<type hash>`. Every node, publisher
+and subscription holds a token `@ros2_lv/<domain>/<session>/<node>/<entity>/<kind>/<enclave>/<namespace>/<name>`, those
+of a topic followed by `/<topic>/<type>/<type hash>/<qos>`, with % for each slash within a part. Every message carries
+an attachment.
+
+By zenoh-bridge-ros2dds, which is beside robots of any other middleware, as its sources say: a topic's key is its name,
+with the bridge's namespace before it; of each it holds a token `@/<session>/@ros2_lv/<kind>/<topic>/<type>/<qos>`, with
+§ for each slash within a part. Messages carry nothing beside; domains are not told.
 """
 
 import hashlib
@@ -19,6 +24,11 @@ NO_HASH = "TypeHashNotSupported"  # of ROS 2 Humble, which knows no type hashes
 ROS_TYPE = re.compile(r"(\w+)::(msg|srv|action)::dds_::(\w+)_")
 DEFAULT_DEPTH = 42
 RELIABLE, BEST_EFFORT, TRANSIENT_LOCAL = "1", "2", "1"
+UNRELIABLE = "0"  # of the bridge, whose other numbers are the same
+BRIDGE, SLASH = "zenoh-bridge-ros2dds", "§"
+BRIDGED = re.compile(rf"@/(\w+)/{SPACE}/(MP|MS)/([^/]+)/([^/]+)/([^/]+)")
+BRIDGED_TYPE = re.compile(r"\w+/(msg|srv|action)/\w+")
+HASH = re.compile(r"typehash=(RIHS01_[0-9a-f]{64})")
 GID = 16  # bytes
 ATTACHMENT = re.compile(  # numbers little-endian; names and the gid are led by their lengths
     rb"(?:\x0fsequence_number)?(.{8})(?:\x10source_timestamp)?(.{8})(?:\nsource_gid)?\x10(.{16})", re.DOTALL
@@ -47,17 +57,32 @@ class Qos:
             raise ValueError(text)
         return cls(reliability != BEST_EFFORT, durability == TRANSIENT_LOCAL, int(depth[0] or DEFAULT_DEPTH))
 
+    def bridged(self) -> str:
+        """As the bridge's tokens have it."""
+        reliability = RELIABLE if self.reliable else UNRELIABLE
+        return f":{reliability}:{int(self.transient_local)}:0,{self.depth}"
+
+    @classmethod
+    def of_bridge(cls, text: str) -> "Qos":
+        """Raises ValueError when `text` is not of that form."""
+        _, reliability, durability, history, *_ = text.split(":")
+        depth = history.partition(",")[2]
+        return cls(reliability != UNRELIABLE, durability == TRANSIENT_LOCAL, int(depth or DEFAULT_DEPTH))
+
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """kind: the ROS type as `sensor_msgs/msg/LaserScan`; type_hash: as REP 2016 has it."""
+    """kind: the ROS type as `sensor_msgs/msg/LaserScan`; type_hash: as REP 2016 has it; bridged: by the bridge."""
 
     name: str
     kind: str
     type_hash: str
     qos: Qos = field(default_factory=Qos)
+    bridged: bool = False
 
     def key(self, domain: int) -> str:
+        if self.bridged:
+            return self.name.strip("/")
         return f"{domain}/{self.name.strip('/')}/{mangled_type(self.kind)}/{self.type_hash}"
 
 
@@ -75,6 +100,9 @@ class Entity:
     topic: Topic | None = None
 
     def token(self) -> str:
+        if self.topic is not None and self.topic.bridged:
+            name, kind = (part.strip("/").replace("/", SLASH) for part in (self.topic.name, self.topic.kind))
+            return f"@/{self.session}/{SPACE}/{self.kind}/{name}/{kind}/{self.topic.qos.bridged()}"
         parts = [SPACE, self.domain, self.session, self.node_id, self.entity_id, self.kind]
         parts += ["%", _mangled(self.namespace), _mangled(self.node)]
         if (t := self.topic) is not None:
@@ -87,8 +115,10 @@ class Entity:
 
     @classmethod
     def read(cls, token: str) -> "Entity":
-        """Raises RefusedError for what is no token of rmw_zenoh."""
+        """Raises RefusedError for what is no token of either."""
         try:
+            if token.startswith("@/"):
+                return cls(0, *_bridged(token))
             domain, session, node_id, entity_id, kind, namespace, node, topic = _parts(token)
             return cls(int(domain), session, int(node_id), int(entity_id), kind, _plain(namespace), _plain(node), topic)
         except ValueError:
@@ -122,8 +152,23 @@ def mangled_type(kind: str) -> str:
     return f"{package}::{group}::dds_::{name}_"
 
 
-def every_token(domain: int) -> str:
-    return f"{SPACE}/{domain}/**"
+def every_token(domain: int) -> tuple[str, ...]:
+    """The keys of all tokens of publishers and, by rmw_zenoh, of all others."""
+    return f"{SPACE}/{domain}/**", f"@/*/{SPACE}/{PUBLISHER}/**"
+
+
+def _bridged(token: str) -> tuple[str, int, int, str, str, str, Topic]:
+    """Raises ValueError for what is no token of the bridge."""
+    match = BRIDGED.fullmatch(token)
+    if match is None:
+        raise ValueError(token)
+    session, entity, name, kind, qos = match.groups()
+    name, kind = name.replace(SLASH, "/"), kind.replace(SLASH, "/")
+    if not BRIDGED_TYPE.fullmatch(kind):
+        raise ValueError(kind)
+    found = HASH.search(qos)
+    topic = Topic(f"/{name}", kind, found[1] if found else NO_HASH, Qos.of_bridge(qos), bridged=True)
+    return session, 0, 0, entity, "/", BRIDGE, topic
 
 
 def _parts(token: str) -> tuple[str, str, str, str, str, str, str, Topic | None]:
