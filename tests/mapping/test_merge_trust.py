@@ -80,7 +80,8 @@ def test_what_speaks_against_a_place_makes_it_less_likely():
 def test_what_a_map_contradicts_of_itself_is_not_held_against_a_place():
     crowded = STRONG._replace(unlike=0.2, walled=0.97)
     assert crowded._replace(own=0.3).probability() > crowded._replace(own=0.0).probability()
-    assert STRONG._replace(own=0.3).probability() == pytest.approx(STRONG.probability(), abs=0.01)
+    whole = STRONG._replace(clear=1.0, unlike=0.0)
+    assert whole._replace(own=0.3).probability() == pytest.approx(whole.probability(), abs=1e-9)
 
 
 def test_a_place_alone_and_one_that_nothing_contradicts_are_surer():

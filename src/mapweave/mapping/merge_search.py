@@ -184,8 +184,8 @@ def candidates(a: KeyframeMap, b: KeyframeMap, matches: Sequence[Hypothesis], cf
     out: list[Candidate] = []
     while left and len(out) < cfg.candidates:
         members = largest_clique(agreeing[np.ix_(left, left)]).members
-        if len(members) < 2:  # of single ones the best scores
-            left.sort(key=lambda k: -matches[k].score)
+        if len(members) < 2:  # of single ones the best scores, of those that are clear
+            left.sort(key=lambda k: (not clear[k], -matches[k].score))
             members = (0,)
         group = [matches[left[k]] for k in members]
         new = candidate(a, b, group, cfg)

@@ -13,12 +13,12 @@ from jaxtyping import Float
 
 UNCLEAR = 0.003  # of what both saw, added to the share that is not alike: half a point of a few hundred
 SLACK = 0.01  # added to what holds along the weakest direction, over what does across it
-PEOPLE = 0.05  # of what both saw, that people and doors change between any two passes;
-WIDE, OWN_WIDE = 0.005, 0.1  # over widths of walls, and of what a map contradicts of itself the share that is as wide
+OWN_WIDE = 0.1  # of what a map contradicts of itself the share that is as wide as a wall, or amid free floor;
+WIDE, FREE, ALL = 0.005, 0.01, 0.05  # over widths of walls, amid free floor, and in all what people and doors change
 LEAST = 0.002  # probability that is told: of a thousand pairs and more none or one tells less
-SIGNS = (0, 1, -1, -1, -1, -1, 1, 1, -1)  # of what speaks for a place, and against it
+SIGNS = (0, 1, -1, -1, -1, -1, 1, 1, -1, -1)  # of what speaks for a place, and against it
 # of the features, in their order, as `benchmarks/merge_trust.py --fit` found them
-WEIGHTS = (1.443, 0.444, -0.619, -4.860, -4.345, -1.790, 0.373, 0.625, -1.324)
+WEIGHTS = (1.624, 0.291, -0.582, -4.479, -4.793, -1.853, 0.412, 0.892, -0.503, -0.954)
 
 
 class Grounds(NamedTuple):
@@ -49,7 +49,7 @@ class Grounds(NamedTuple):
 
         In a building of equal rooms many submaps fit elsewhere too: that counts where the place is contradicted.
         """
-        unlike = _beyond(self.unlike, self.own, PEOPLE)
+        free = _beyond(1.0 - self.clear, OWN_WIDE * self.own, FREE)
         return np.array(
             [
                 1.0,
@@ -60,7 +60,8 @@ class Grounds(NamedTuple):
                 self.pushed,
                 math.log(self.held + SLACK),
                 math.log1p(self.votes),
-                unlike * math.log1p(self.others),
+                free * math.log1p(self.others),
+                _beyond(self.unlike, self.own, ALL) * math.log1p(self.others),
             ]
         )
 
