@@ -170,18 +170,20 @@ def live_robot(
     _check_pace(rate, period, linger)
     network = network or Network()
     check_name(network.team, "--team")
+    options = ros or RosOptions()
+    if str(source) == ROS2:
+        if robot is not None or rate != 1.0 or follow:
+            raise UsageError(f"--source {ROS2}: a robot that drives now has neither --robot nor --rate nor --follow")
+        options.check(network)
     if network.tls is not None:
         expect_heard(network.tls, name, network.team, "robot")
     path = Path("mapweave-live", f"{network.team}-{name}.sqlite") if history is None else Path(history)
     stop = stop or Event()
     if str(source) == ROS2:
-        if robot is not None or rate != 1.0 or follow:
-            raise UsageError(f"--source {ROS2}: a robot that drives now has neither --robot nor --rate nor --follow")
         with Store(path, f"robot {name} of team {network.team}") as store:
             if fresh:
                 store.clear()
             run = begun(store, "laser", period)
-            options = ros or RosOptions()
             sent, heard = drive_ros2(name, options, store, run, period, linger, config, network, stop, say, wall)
             return LiveRobot(name, sent, heard, path, store.sizes(name))
     if follow:

@@ -69,8 +69,10 @@ def drive_ros2(
     say: Say,
     wall: Callable[[], float] = time.time,
 ) -> tuple[int, int]:
-    """Drives `name` by what its ROS graph tells, until `stop`; how many messages there are, how many have all."""
-    options.check(network)
+    """Drives `name` by what its ROS graph tells, until `stop`; how many messages there are, how many have all.
+
+    options: checked against the network.
+    """
     cfg = load(LaserMapConfig, config, {"laser": {"method": "graph"}}).laser
     cfg.check()
     topics = Topics(network.team)
