@@ -8,7 +8,7 @@ from mapweave.kernels.laser.place_search import FULL
 from mapweave.kernels.mapping.places import Clouds, SearchedField, SearchRules, heading_peaks, search_submaps
 from mapweave.laser.place_search import likelihood_field
 from mapweave.mapping import places
-from mapweave.mapping.places import FIELD, LIGHT, PlaceIndex, PlaceSearchConfig
+from mapweave.mapping.places import FIELD, LIGHT, PlaceIndex, PlaceMatch, PlaceSearchConfig
 from mapweave.mapping.submaps import BINS, PlaceSubmap, PlaceSubmapConfig, make_submap, middles, signature, way_of
 
 CFG = PlaceSubmapConfig()
@@ -239,3 +239,20 @@ def test_a_submap_keeps_little_memory():
     made: PlaceSubmap = seen_from([0, 0, 0], room(0))
     assert made.points.nbytes + made.signature.nbytes + made.thin.nbytes < 32 * 1024
     assert FULL * 255 * CFG.points < 2**31
+
+
+def test_a_place_told_from_its_other_end_has_the_covariance_of_the_same_errors():
+    sd = np.array([[0.03, 0.0, 0.0], [0.02, 0.05, 0.0], [-0.01, 0.01, 0.02]])
+    told = PlaceMatch(
+        3, 5, np.array([2.0, -1.0, 0.7]), sd @ sd.T, 0.8, 0.1, 0.7, (50.0, 90.0), np.array([np.cos(0.4), np.sin(0.4)])
+    )
+    turned = told.inverse()
+    assert (turned.first, turned.second) == (5, 3)
+    np.testing.assert_allclose(se2.compose(told.measured, turned.measured), 0.0, atol=1e-12)
+    errors = 1e-4 * np.random.default_rng(1).standard_normal((200_000, 3)) @ sd.T
+    seen = se2.between(turned.measured, se2.inverse(se2.compose(told.measured, errors)))
+    np.testing.assert_allclose(np.cov(seen.T), 1e-8 * turned.covariance, atol=2e-2 * 1e-8 * np.trace(turned.covariance))
+    np.testing.assert_allclose(se2.rotation(0.7) @ turned.weak, told.weak, atol=1e-12)
+    again = turned.inverse()
+    np.testing.assert_allclose(again.covariance, told.covariance, atol=1e-12)
+    np.testing.assert_allclose(again.measured, told.measured, atol=1e-12)

@@ -110,6 +110,10 @@ def test_a_single_scan_that_wheels_know_nothing_of_is_placed_by_what_came_before
     true = se2.compose(places(known, log.scan_t[at : at + 1])[0], np.array([0.0, 0.0, shift * one.angle_increment]))
     error = se2.between(true, places(made, log.scan_t[at : at + 1])[0])
     assert {f.code for f in made.findings} >= {"track-cut"}
+    cut = int(np.searchsorted(made.maps[0].graph.t, log.scan_t[at] - 1e-6))
+    held = [c for c in made.maps[0].graph.closures if c.accepted and cut in {c.first, c.second}]
+    assert held
+    assert max(c.nis for c in held) <= 16.0
     assert np.hypot(*error[:2]) < 0.15
     assert abs(se2.wrap_angle(error[2])) < 0.05
     rest = np.delete(sparse.scan_t, at // 4)

@@ -281,7 +281,7 @@ class KeyframeGraph:
     def _hold_alone(self) -> bool:
         """Segments that no place holds are held by the one that lies where the steps over their borders may lead.
 
-        Nothing but such a step contradicts it. Returns whether there are any.
+        Nothing but such a step contradicts it, from which it is told how far it lies. Returns whether there are any.
         """
         if len(self.of) > 1:
             return False
@@ -294,8 +294,9 @@ class KeyframeGraph:
             if c.accepted or low[n] + 1 != high[n] or c.reason.startswith(ELSEWHERE) or {low[n], high[n]} <= held:
                 continue
             off = se2.between(se2.between(self.pose[c.first], self.pose[c.second]), c.measured)
-            if off @ np.linalg.solve(self.nodes[cuts[low[n]]].cov, off) <= NEAR**2:
-                self.closures[n] = replace(c, accepted=True, reason=_agrees(c.share, c.nis or 0.0))
+            nis = float(off @ np.linalg.solve(self.nodes[cuts[low[n]]].cov, off))
+            if nis <= NEAR**2:
+                self.closures[n] = replace(c, accepted=True, nis=nis, reason=_agrees(c.share, nis))
                 held |= {low[n], high[n]}
                 found = True
         return found

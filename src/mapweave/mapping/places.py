@@ -87,7 +87,7 @@ class PlaceMatch:
         return symmetrise(np.linalg.inv(self.covariance))
 
     def inverse(self) -> "PlaceMatch":
-        """The same place with the two submaps changing parts."""
+        """The same place with the two submaps changing parts; `share` stays that of the points that were laid."""
         A = adjoint(self.measured)
         return replace(
             self,
