@@ -31,6 +31,7 @@ from .result import load
 
 KINDS = {"new": (colour(2), "walls that are new"), "gone": (colour(5), "walls that are gone")}
 MOST_TOLD = 12  # changes or decisions in the summary
+SAID = 0.75  # probability that will do of maps said to be of one place: odds before looking three times a pair's
 DECISION = ("what", "before", "after", "why before", "why after")
 
 
@@ -215,7 +216,8 @@ def _start(given: Sequence[float] | None) -> Start | None:
 
 def _one_place(before: LaserResult, after: LaserResult, start: Start | None) -> Comparison:
     one, other = before.components[0], after.components[0]
-    merge = merge_maps(_keyframes(before, one, "before"), _keyframes(after, other, "after"), MergeConfig(), start)
+    cfg = MergeConfig(sure=SAID)
+    merge = merge_maps(_keyframes(before, one, "before"), _keyframes(after, other, "after"), cfg, start)
     if merge.transform is None or merge.covariance is None:
         raise DataError(f"the two maps are not found to be of one place: {merge.reason}")
     found = changes_between(one, other, merge.transform, merge.covariance)
