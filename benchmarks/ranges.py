@@ -4,7 +4,7 @@
 
 GTSAM has the very factors of the file. ATE: one rigid transform for the whole team, all poses. Turtlebots: motion
 capture is the truth, read after the estimate; relative position: where each robot lies as seen from the first.
-Simulated: five robots and four beacons, a minute and a half, seeds 0 to 3, the mean of all; NEES of the beacons, frame
+Simulated: five robots and four beacons, a minute and a half, seeds 0 to 15, the mean of all; NEES of the beacons, frame
 free.
 """
 
@@ -29,7 +29,7 @@ from mapweave.ranges.log import RangeLog, network_of
 from mapweave.ranges.network import RangeNetwork
 from mapweave.sim.mixed_team import MixedWorld, simulate_mixed
 
-SEEDS, MINUTES, BEACONS = range(4), 1.5, 4
+SEEDS, MINUTES, BEACONS = range(16), 1.5, 4
 RADIOS = {"n_7": "turtle01", "n_3": "turtle03", "n_4": "turtle04", "n_5": "turtle05"}
 
 

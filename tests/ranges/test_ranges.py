@@ -9,7 +9,7 @@ import mapweave
 from mapweave.core import se2
 from mapweave.core.records import Track
 from mapweave.ranges import log as range_log
-from mapweave.ranges.estimate import RangeEstimate, estimate, lasting
+from mapweave.ranges.estimate import RangeEstimate, _Noise, estimate, lasting
 from mapweave.ranges.factors import motion_factor, range_factor
 from mapweave.ranges.log import RangeLog, network_of
 from mapweave.ranges.network import Motions, RangeNetwork, Ranges
@@ -180,3 +180,19 @@ def test_wheels_are_less_sure_of_a_step_by_its_way_by_its_turn_and_by_the_time_i
         *_, cov = c._steps(np.array([np.zeros(3), step]), np.array([0.0, dt]), 0)
         along, across = (k**2 * step[0] + c.REST_XY**2 * dt for k in (c.ALONG, c.ACROSS))
         np.testing.assert_allclose(cov[0], np.diag([along, across, heading]), atol=2e-8)
+
+
+@pytest.mark.parametrize("nlos", [0.0, 0.2])
+def test_the_noise_of_a_radio_is_neither_more_nor_less_than_its_ranges_scatter(nlos):
+    rng = np.random.default_rng(3)
+    n, pairs = 400, 60
+    which = np.repeat(np.arange(pairs), n)
+    error = rng.normal(0.0, 0.05, n * pairs) + np.where(
+        rng.random(n * pairs) < nlos, rng.uniform(0.5, 3.0, n * pairs), 0.0
+    )
+    nobody, nowhere = np.zeros(n * pairs, np.int64), np.zeros((n * pairs, 2))
+    t = np.tile(np.arange(float(n)), pairs)
+    ranges = Ranges(nobody, nobody, t, error, np.full(n * pairs, np.nan), nowhere, nowhere)
+    told = _Noise.of(ranges, which, pairs, error)
+    assert np.sqrt(np.mean(np.square(told.sd))) == pytest.approx(0.05, rel=0.03)
+    assert (told.far == (error > 0.4)).mean() > 0.99

@@ -37,6 +37,7 @@ ANY_HEADING = 2.0  # [rad] sd of a heading that nothing tells
 TO_SD = 1.4826  # times half the width of its densest half is the sd of a Gaussian
 PRUNED = 3  # times that noise is told from those that are not far
 FAR = 3.0  # [sd] from which a range is taken for one that went another way
+WITHIN_FAR = 1.0136  # times what scatters within it is the sd of a Gaussian
 WIDE = Cauchy(2.0)  # while the noise is still a guess
 TIGHT = GemanMcClure(3.0)
 # Noise and biases are estimated and all is solved again, with these kernels; at the end without those that are far.
@@ -145,6 +146,7 @@ class _Noise:
                 kept = np.abs(e - middle) <= FAR * sd[k]
                 kept = np.abs(e - np.median(e[kept])) <= FAR * sd[k]
             far[mine] = ~kept
+            sd[k] = max(LEAST_SD, WITHIN_FAR * float(e[kept].std()))
             good = mine[~far[mine]]
             long[k] = lasting(residual[good[np.argsort(r.t[good], kind="stable")]])
         return cls(residual, far, sd, long)
