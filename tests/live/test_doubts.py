@@ -266,8 +266,9 @@ def test_a_header_in_anothers_name_keeps_no_robot_out_that_tells_its_own(store, 
     hear(inbox, TOLD)  # what came while there was no room is asked for again
     assert inbox.ledgers["r1"].complete
     assert inbox.log("r1").log_hash == LOG.log_hash
-    assert inbox.ledgers["mallory"].fault
-    assert inbox.log("mallory") is None
+    taken = log_robot == "robot1"  # else it is one more robot of a mixed team, that told nothing yet
+    assert bool(inbox.ledgers["mallory"].fault) == taken
+    assert (inbox.log("mallory") is None) == taken
 
 
 def test_of_two_that_tell_their_own_the_one_whose_name_it_is_is_that_robot_of_the_log(store):

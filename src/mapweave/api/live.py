@@ -6,6 +6,7 @@ import time
 import webbrowser
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -40,10 +41,12 @@ from ..live.view import Board, served
 from ..mapping.config import LaserConfig
 from ..report.result import ResultBase
 from .laser_result import LaserResult, starts_among
+from .live_mixed import join_apart
 from .live_ros2 import RosOptions, drive_ros2
 from .map_landmarks import LandmarkMapConfig, map_landmark_logs
 from .map_laser import LaserMapConfig
 from .map_laser import map_logs as map_lasers
+from .map_mixed import MixedMapConfig, MixedResult, map_mixed_logs
 from .map_options import MapOptions
 from .team import TeamResult
 
@@ -97,6 +100,7 @@ class LiveRobot(ResultBase):
 
 
 ROS2 = "ros2"
+LiveResult = TeamResult | LaserResult | MixedResult
 INSECURE = Finding("network-open").text
 
 Say = Callable[[str], None]
@@ -277,7 +281,7 @@ def live_map(
     say: Say = print,
     wall: Callable[[], float] = time.time,
     at_the_door: Mapping[str, int] | None = None,
-) -> TeamResult | LaserResult:
+) -> LiveResult:
     """Run the map process of a live team: collect what robots publish and keep one shared map, written to `out`.
 
     It ends when `stop` is set, or when all of `robots` have published their logs to the end.
@@ -349,6 +353,7 @@ def live_map(
             process = MapProcess(name, opened, Topics(network.team), kept, inbox, say, wall, at_the_door)
             process.shared.cfg, process.ekf = landmarks.fuse, landmarks.ekf
             process.laser = weaving
+            process.joins = partial(join_apart, cfg=_mixed_config(options.config), seed=seed)
             process.starts = lambda names: starts_among(
                 names, {k: v for k, v in known.items() if k in names}, weaving.merge
             )
@@ -369,12 +374,24 @@ def live_map(
 
 
 def _landmark_config(settings: AnyConfig | None) -> LandmarkMapConfig:
-    """How landmark robots are mapped and fused; the settings may also be of lasers. Raises ConfigError of neither."""
+    """How landmark robots are mapped and fused; the settings may also be of lasers or of a mixed team.
+
+    Raises ConfigError when they are of none.
+    """
     try:
         return load(LandmarkMapConfig, settings)
     except ConfigError:
-        load(LaserMapConfig, settings).laser.check()
-        return LandmarkMapConfig()
+        mixed = load(MixedMapConfig, settings)
+        mixed.laser.check()
+        return LandmarkMapConfig(ekf=mixed.ekf, fuse=mixed.fuse)
+
+
+def _mixed_config(settings: AnyConfig | None) -> MixedMapConfig:
+    """How parts of a mixed team are laid beside each other; the settings may also be of one kind of robots."""
+    try:
+        return load(MixedMapConfig, settings)
+    except ConfigError:
+        return MixedMapConfig()
 
 
 def _with_starts(options: MapOptions, known: Mapping[str, Sequence[float]], inbox: Inbox, say: Say) -> MapOptions:
@@ -392,10 +409,12 @@ def _with_starts(options: MapOptions, known: Mapping[str, Sequence[float]], inbo
 
 
 def _laser_config(settings: AnyConfig | None) -> LaserConfig:
-    """How laser robots are followed and woven; the settings may also be those of landmark robots."""
+    """How laser robots are followed and woven; the settings may also be those of landmark robots or a mixed team."""
     try:
         return load(LaserMapConfig, settings).laser
     except ConfigError:
+        with suppress(ConfigError):
+            return load(MixedMapConfig, settings).laser
         return LaserConfig()
 
 
@@ -404,20 +423,22 @@ def _all_told(inbox: Inbox, robots: Sequence[str] | None) -> bool:
     return robots is not None and all(name in ledgers and ledgers[name].complete for name in robots)
 
 
-def _with_findings(result: TeamResult | LaserResult, texts: Sequence[str]) -> TeamResult | LaserResult:
+def _with_findings(result: LiveResult, texts: Sequence[str]) -> LiveResult:
     """The result, which tells what went wrong while it was heard."""
     found = [Finding("network-open") if text == INSECURE else Finding("network-told", value=text) for text in texts]
     if not found:
         return result
+    every = (*result.findings, *found)
     if isinstance(result, TeamResult):
-        return replace(result, findings=(*result.findings, *found))
-    whole = (*result.whole, *found)
+        return replace(result, findings=every)
     rows = [*result.metrics["findings"], *(one.row() for one in found)]
-    told = verdict((*result.findings, *found))
-    return replace(result, whole=whole, metrics={**result.metrics, "verdict": told, "findings": rows})
+    metrics = {**result.metrics, "verdict": verdict(every), "findings": rows}
+    if isinstance(result, LaserResult):
+        return replace(result, whole=(*result.whole, *found), metrics=metrics)
+    return replace(result, story=replace(result.story, findings=every), metrics=metrics)
 
 
-def _final(inbox: Inbox, options: MapOptions, finding: Say) -> TeamResult | LaserResult:
+def _final(inbox: Inbox, options: MapOptions, finding: Say) -> LiveResult:
     """The map of all that was heard up to each robot's first gap or doubt, without robots that it fails for."""
     called = {x.record.header.log_robot: name for name, x in inbox.ledgers.items() if x.record is not None}
     logs = {log.robot: log for log in map(inbox.log, inbox.ledgers) if log is not None}
@@ -430,12 +451,14 @@ def _final(inbox: Inbox, options: MapOptions, finding: Say) -> TeamResult | Lase
     return result
 
 
-def _mapped(logs: Sequence[LandmarkLog | LaserLog], options: MapOptions) -> TeamResult | LaserResult:
+def _mapped(logs: Sequence[LandmarkLog | LaserLog], options: MapOptions) -> LiveResult:
     """The map of these logs."""
     lasers = [log for log in logs if isinstance(log, LaserLog) and len(log.scans)]
+    landmarks = [log for log in logs if isinstance(log, LandmarkLog) and len(log)]
+    if lasers and landmarks:
+        return map_mixed_logs(landmarks, lasers, options)
     if lasers:
         return map_lasers(lasers, options)
-    landmarks = [log for log in logs if isinstance(log, LandmarkLog) and len(log)]
     if not any(len(log.sightings) for log in landmarks):
         raise DataError("no robot told what it saw: no map")
     sources = dict.fromkeys(Path(log.source).name for log in landmarks)

@@ -12,7 +12,7 @@ import numpy as np
 from ..core.config import config, load
 from ..core.errors import DataError, MapweaveError, UsageError
 from ..core.findings import Finding, Unused, Verdict, of_robot, unused_by_all, verdict, verdict_line
-from ..core.landmark_log import LandmarkLog, SightingTable
+from ..core.landmark_log import NOTHING_SEEN, LandmarkLog, SightingTable
 from ..core.laser_log import LaserLog
 from ..core.names import in_order, robot_key, robot_name
 from ..core.version import __version__
@@ -26,7 +26,7 @@ from ..io.kept import parts
 from ..io.laser_logs import read_laser
 from ..io.laser_map import NAME, write_grid, write_laser_map
 from ..io.local_map import write_local_map
-from ..io.mixed_logs import LaserOf, MixedLogs, is_mixed, read_mixed_landmarks, sorted_logs
+from ..io.mixed_logs import MixedLogs, is_mixed, read_mixed_landmarks, sorted_logs
 from ..io.points import read_points
 from ..io.ros_map import write_ros_map
 from ..io.team_map import told_gaps, write_calibration, write_landmark_arrays, write_landmarks, write_tracks
@@ -254,21 +254,36 @@ def applies(logs: Sequence[Path]) -> bool:
 
 def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
     """One map of all robots in `logs`."""
-    cfg = _configured(options)
-    watch = Watch()
+    _configured(options)
     by_kind = sorted_logs(logs, source_of(options.laser))
     read = read_mixed_landmarks(by_kind)
     read, by_kind = _wanted(read, by_kind, options)
+    _places(read, options)
+    lasers = [read_laser(of.path, robot_key(robot), of.source) for robot, of in by_kind.lasers.items()]
+    return map_mixed_logs(read, lasers, options)
+
+
+def map_mixed_logs(landmarks: Sequence[LandmarkLog], lasers: Sequence[LaserLog], options: MapOptions) -> MixedResult:
+    """One map of logs that were read: what each robot drove and saw, and the scans of those with a laser."""
+    cfg = _configured(options)
+    watch = Watch()
+    scans = {robot_name(log.robot): _shared(log, options) for log in lasers}
+    scans = {robot: scans[robot] for robot in sorted(scans, key=in_order)}
+    there = {log.robot for log in landmarks}
+    nothing = [LandmarkLog(r, None, NOTHING_SEEN, source=log.source) for r, log in scans.items() if r not in there]
+    read = sorted([*landmarks, *nothing], key=lambda log: in_order(log.robot))
+    read = [_without(log, _robots_seen(log) - {*there, *scans}) for log in read]
+    where = [*(log.source for log in scans.values()), *(log.source for log in landmarks)]
+    sources = dict.fromkeys(Path(source).name for source in where if source)
     known, places = known_calibration(read, options), _places(read, options)
     watch.lap("read")
-    scans, lasers = _lasers(by_kind.lasers, cfg.laser, options)
+    own_maps = _lasers(scans, cfg.laser, options)
     apart = _apart(read, scans, ANOTHER_TIME)
     read = [log.share(options.share.get(robot_key(log.robot), 1.0)) for log in read]
     read = [on_camera_clock(log) for log in with_copies_marked(read)]
     stamps = {log.robot: log.stamps for log in read}
-    read = [without_impossible(with_wheels_checked(log, cfg.ekf, cfg.agreement), cfg.ekf) for log in read]
-    read = [sifted(log, cfg.ekf) for log in read]
-    seeing = [x for x in read if x.robot not in apart and any(not n.startswith("robot") for n in x.sightings.counts())]
+    read = [without_contradicted(log, cfg) for log in read]
+    seeing = [x for x in read if x.robot not in apart and maps_landmarks(x)]
     cut = _cut(seeing, *_filtered(seeing, cfg, options), cfg, options.seed)
     local, fusion = cut.local, cut.fusion
     watch.lap("estimate")
@@ -280,7 +295,7 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
     labels: Mapping[str, Mapping[str, str]] = {} if not local else fusion.labels
     fitted, back = regained(mapped, [log for log in read if log.robot not in apart], labels, cfg.smoothing, cfg.placing)
     scanned = {
-        m: Scanned(laser_map.graph, laser_map.track) for m, laser_map in lasers.items() if laser_map.graph is not None
+        m: Scanned(laser_map.graph, laser_map.track) for m, laser_map in own_maps.items() if laser_map.graph is not None
     }
     options.on_progress("whole team", 0, 1)
     mixed = map_mixed(
@@ -302,19 +317,19 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
     grids = tuple(_grid(s.map, scans, mixed, cfg.laser) for s in mixed.components)
     watch.lap("grid")
     carried = [found for m in local if cut_of[m.robot].cuts for found in of_robot(m.findings, m.robot)]
-    told = findings_of(read, lasers, fusion if local else None, mixed, apart)
+    told = findings_of(read, own_maps, fusion if local else None, mixed, apart)
     findings = tuple(dict.fromkeys((*carried, *lost, *back, *told)))
-    beside = [*((m.source, m.unused) for m in lasers.values()), *((log.source, log.unused) for log in read)]
+    beside = [*((m.source, m.unused) for m in own_maps.values()), *((log.source, log.unused) for log in read)]
     unused = unused_by_all(beside)
     kinds = {log.robot: carries(log, scanned) for log in read}
     own = {m.robot: m for m in local}
-    robots = {x.robot: robot_metrics(x, own.get(x.robot), lasers.get(x.robot), findings) for x in read}
-    story = MixedStory(f"One map from {', '.join(p.name for p in logs)}", mixed, grids, kinds, (), findings)
+    robots = {x.robot: robot_metrics(x, own.get(x.robot), own_maps.get(x.robot), findings) for x in read}
+    story = MixedStory(f"One map from {', '.join(sources)}", mixed, grids, kinds, (), findings)
     result = MixedResult(
         maps=tuple(s.map for s in mixed.components),
         grids=grids,
         local=tuple(local),
-        lasers=tuple(lasers.values()),
+        lasers=tuple(own_maps.values()),
         story=story,
         metrics=mixed_metrics(mixed, kinds, robots, findings, unused, options.seed),
     )
@@ -389,6 +404,10 @@ def _wanted(read: list[LandmarkLog], logs: MixedLogs, options: MapOptions) -> tu
     return [_without(log, others) for log in read if log.robot in chosen], replace(logs, lasers=lasers)
 
 
+def _robots_seen(log: LandmarkLog) -> set[str]:
+    return {name for name in (*log.sightings.ids, *log.bearings.ids) if robot_key(name) != name}
+
+
 def _without(log: LandmarkLog, robots: Collection[str]) -> LandmarkLog:
     """The log without sightings of `robots`, which are counted: they drive, and are no landmarks."""
 
@@ -397,27 +416,39 @@ def _without(log: LandmarkLog, robots: Collection[str]) -> LandmarkLog:
 
     sightings, bearings = kept(log.sightings), kept(log.bearings)
     gone = len(log.sightings) + len(log.bearings) - len(sightings) - len(bearings)
-    dropped = {"sighting of a robot left out": gone} if gone else {}
-    return replace(log, sightings=sightings, bearings=bearings, dropped={**log.dropped, **dropped})
+    if not gone:
+        return log
+    dropped = {**log.dropped, "sighting of a robot left out": gone}
+    return replace(log, sightings=sightings, bearings=bearings, dropped=dropped)
 
 
-def _lasers(
-    lasers: Mapping[str, LaserOf], cfg: LaserConfig, options: MapOptions
-) -> tuple[dict[str, LaserLog], dict[str, LaserMap]]:
-    """Every laser log and its own map, in the order of the robots' numbers."""
-    logs: dict[str, LaserLog] = {}
-    for robot in sorted(lasers, key=in_order):
-        key = robot_key(robot)
-        log = first_part(read_laser(lasers[robot].path, key, lasers[robot].source), options.share.get(key, 1.0))
-        if log.fixes is not None:
-            told = Finding("fixes-unused", key, value="mixed teams are not laid by them")
-            log = replace(log, fixes=None, findings=(*log.findings, told))
-        logs[robot] = log
+def without_contradicted(log: LandmarkLog, cfg: MixedMapConfig) -> LandmarkLog:
+    """The log without rows that cannot be, or that its other rows contradict."""
+    return sifted(without_impossible(with_wheels_checked(log, cfg.ekf, cfg.agreement), cfg.ekf), cfg.ekf)
+
+
+def maps_landmarks(log: LandmarkLog) -> bool:
+    """Whether the robot saw anything with its range that is no robot."""
+    return any(not name.startswith("robot") for name in log.sightings.counts())
+
+
+def _shared(log: LaserLog, options: MapOptions) -> LaserLog:
+    """The share of the log that is asked for, of robot `K`, without fixes."""
+    key = robot_key(log.robot)
+    log = first_part(replace(log, robot=key), options.share.get(key, 1.0))
+    if log.fixes is None:
+        return log
+    told = Finding("fixes-unused", key, value="mixed teams are not laid by them")
+    return replace(log, fixes=None, findings=(*log.findings, told))
+
+
+def _lasers(logs: Mapping[str, LaserLog], cfg: LaserConfig, options: MapOptions) -> dict[str, LaserMap]:
+    """Every laser robot's own map, in the order of `logs`."""
     with worker_pool(options.jobs, len(logs), options.executor) as pool:
         if pool is None:
-            return logs, {r: map_laser(log, cfg, options.seed, options.on_progress) for r, log in logs.items()}
+            return {r: map_laser(log, cfg, options.seed, options.on_progress) for r, log in logs.items()}
         running = {robot: pool.submit(map_laser, log, cfg, options.seed) for robot, log in logs.items()}
-        return logs, {robot: done.result() for robot, done in running.items()}
+        return {robot: done.result() for robot, done in running.items()}
 
 
 def _apart(read: Sequence[LandmarkLog], scans: Mapping[str, LaserLog], far: float) -> dict[str, float]:

@@ -150,6 +150,7 @@ def _header(message: Header) -> None:
     _names(message.robot, message.log_robot)
     _texts(message.run, message.source, message.odometry_from, message.log_hash)
     _landmarks(message.names)
+    _landmarks(message.bearing_names)
     _counts(message.dropped)
     _findings(message.findings)
     _unused(message.unused)
@@ -190,12 +191,14 @@ def _numbered(message: Rows | Scans | Closed) -> None:
 
 
 def _rows(message: Rows) -> None:
-    drive, seen = unpack(message.drive, 3), unpack(message.seen, 3)
-    _expect(seen.shape[1] == len(message.what), "an index a sighting")
-    _expect(all(0 <= k <= MOST_NAMES for k in message.what), f"an index from 0 to {MOST_NAMES}")
+    drive, seen, bearings = unpack(message.drive, 3), unpack(message.seen, 3), unpack(message.bearings, 2)
+    for table, what in ((seen, message.what), (bearings, message.bearing_what)):
+        _expect(table.shape[1] == len(what), "an index a sighting")
+        _expect(all(0 <= k <= MOST_NAMES for k in what), f"an index from 0 to {MOST_NAMES}")
     _landmarks(message.names)
-    _column(LATEST, "a stamp", drive[0], seen[0])
-    _column(GREATEST, "a number", drive[1:], seen[1:])
+    _landmarks(message.bearing_names)
+    _column(LATEST, "a stamp", drive[0], seen[0], bearings[0])
+    _column(GREATEST, "a number", drive[1:], seen[1:], bearings[1:])
 
 
 def _scans(message: Scans) -> None:

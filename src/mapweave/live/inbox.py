@@ -16,7 +16,7 @@ from ..core.laser_log import LaserLog
 from ..core.names import robot_name
 from .door import decode, envelope_of
 from .isolation import in_words
-from .landmark_stream import LandmarkRecord
+from .landmark_stream import LandmarkRecord, rows_told
 from .laser_stream import LaserRecord, whole_log
 from .messages import (
     Closed,
@@ -315,18 +315,11 @@ class Inbox:
         """
         for other in list(self.ledgers.values()):
             known = None if other is ledger or other.record is None else other.record.header
-            if known is None:
+            if known is None or known.log_robot != header.log_robot:
                 continue
-            mine, its = (ledger.own, True), (other.own, True)
-            if known.log_robot == header.log_robot:
-                mine, its = (ledger.own, _is_of(ledger.robot, header)), (other.own, _is_of(other.robot, known))
-                refused = RefusedError("name taken", f"{other.robot} is {header.log_robot} already")
-                aside = RefusedError("name taken", f"{ledger.robot} is {header.log_robot}")
-            elif known.sensor != header.sensor:
-                refused = RefusedError("sensor", f"{header.sensor}, and {other.robot} has {known.sensor}")
-                aside = RefusedError("sensor", f"{known.sensor}, and {ledger.robot} has {header.sensor}")
-            else:
-                continue
+            mine, its = (ledger.own, _is_of(ledger.robot, header)), (other.own, _is_of(other.robot, known))
+            refused = RefusedError("name taken", f"{other.robot} is {header.log_robot} already")
+            aside = RefusedError("name taken", f"{ledger.robot} is {header.log_robot}")
             if mine <= its:
                 raise refused
             self._set_aside(other, f"message 0: {aside}")
@@ -489,11 +482,7 @@ class Inbox:
         if record is None or ledger.sure == 0:
             return None
         if isinstance(record, LandmarkRecord):
-            rows = LandmarkRecord.begin(record.header)
-            for message in self._messages(ledger):
-                if isinstance(message, Rows):
-                    rows.add(message)
-            return rows.log
+            return rows_told(self._messages(ledger))
         again = LaserRecord(record.header)
         parts = (again.add(message) for message in self._messages(ledger) if isinstance(message, Scans))
         return whole_log(record.header, (part for part in parts if part is not None))

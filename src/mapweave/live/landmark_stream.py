@@ -1,18 +1,18 @@
 """A landmark log as numbered messages, and numbered messages as a landmark log: the same rows, to the bit."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..core.findings import finding_of
-from ..core.landmark_log import LandmarkLog, SightingTable
+from ..core.findings import finding_of, unused_of
+from ..core.landmark_log import NOTHING_SEEN, LandmarkLog, SightingTable
 from ..core.records import Odometry
 from .columns import pack, unpack
 from .door import MOST_NAMES, expect_span
-from .messages import Closed, Header, Numbered, RefusedError, Rows
+from .messages import Closed, Header, Message, Numbered, RefusedError, Rows
 
 MOST_SIGHTINGS = 20_000  # in one message; packets of a log are split beyond
 
@@ -33,41 +33,54 @@ def messages_of(log: LandmarkLog, robot: str, run: str, period: float) -> Iterat
             source=log.source,
             odometry=log.odometry is not None,
             names=list(log.sightings.ids),
+            bearing_names=list(log.bearings.ids),
             dropped=dict(log.dropped),
             findings=[found.row() for found in log.findings],
+            unused=[left.row() for left in log.unused],
             misread=pack(log.misread),
         ),
     )
-    o, s = log.odometry, log.sightings
+    o, s, d = log.odometry, log.sightings, log.bearings
     cuts = np.arange(begin + period, end, period)
-    driven = [0] if o is None else [0, *np.searchsorted(o.t, cuts, side="right").tolist(), len(o.t)]
-    seen = [0, *np.searchsorted(s.t, cuts, side="right").tolist(), len(s)]
-    driven = driven if o is not None else [0] * len(seen)
+    tables = (np.zeros(0) if o is None else o.t, s.t, d.t)
+    ends = [[0, *np.searchsorted(stamps, cuts, side="right").tolist(), len(stamps)] for stamps in tables]
     seq = 0
-    for t, (a, b), (c, d) in zip([*cuts.tolist(), end], pairwise(driven), pairwise(seen), strict=True):
-        while b > a or d > c:
-            most, rows = min(a + MOST_SIGHTINGS, b), min(c + MOST_SIGHTINGS, d)
+    for t, *packet in zip([*cuts.tolist(), end], *map(pairwise, ends), strict=True):
+        left = packet
+        while any(last > first for first, last in left):
+            driven, seen, directed = (slice(first, min(first + MOST_SIGHTINGS, last)) for first, last in left)
             seq += 1
-            drive = pack(o.t[a:most], o.v[a:most], o.w[a:most]) if o is not None and most > a else b""
-            columns = (s.t[c:rows], s.range[c:rows], s.bearing[c:rows])
-            what = s.what[c:rows].tolist()
-            yield t, Rows(robot=robot, run=run, seq=seq, drive=drive, seen=pack(*columns), what=what)
-            a, c = most, rows  # noqa: PLW2901  (what is left of this packet)
+            yield (
+                t,
+                Rows(
+                    robot=robot,
+                    run=run,
+                    seq=seq,
+                    drive=b"" if o is None else pack(o.t[driven], o.v[driven], o.w[driven]),
+                    seen=pack(s.t[seen], s.range[seen], s.bearing[seen]),
+                    what=s.what[seen].tolist(),
+                    bearings=pack(d.t[directed], d.bearing[directed]),
+                    bearing_what=d.what[directed].tolist(),
+                ),
+            )
+            left = [(done.stop, last) for done, (_, last) in zip((driven, seen, directed), left, strict=True)]
     yield end, Closed(robot=robot, run=run, seq=seq + 1)
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """The rows of one message. what: index into the names known by then; t: (n,) [s]."""
+    """The rows of one message. what, bearing_what: indices into the names known by then."""
 
     drive: Float[np.ndarray, "3 m"]
     seen: Float[np.ndarray, "3 n"]
     what: Int[np.ndarray, " n"]
+    bearings: Float[np.ndarray, "2 k"]
+    bearing_what: Int[np.ndarray, " k"]
 
     @property
     def end(self) -> float | None:
         """The last stamp [s] of its rows."""
-        ends = [float(column[0, -1]) for column in (self.drive, self.seen) if column.shape[1]]
+        ends = [float(column[0, -1]) for column in (self.drive, self.seen, self.bearings) if column.shape[1]]
         return max(ends, default=None)
 
 
@@ -80,18 +93,20 @@ class LandmarkRecord:
 
     header: Header
     names: list[str]
+    bearing_names: list[str]
     keep: bool = True
     parts: list[Part] = field(default_factory=list)
     closed: bool = False
     _driven: float = -np.inf
     _seen: float = -np.inf
+    _directed: float = -np.inf
     _first: float = np.nan
 
     @classmethod
     def begin(cls, header: Header, *, keep: bool = True) -> "LandmarkRecord":
         if not header.log_robot.removeprefix("robot").isdecimal():
             raise RefusedError("malformed", f"expected robotK as the robot of a landmark log, found {header.log_robot}")
-        return cls(header, list(header.names), keep)
+        return cls(header, list(header.names), list(header.bearing_names), keep)
 
     def add(self, message: Numbered) -> Part | None:
         """Its rows, put after all others; raises RefusedError when they can't be those of this robot."""
@@ -102,24 +117,22 @@ class LandmarkRecord:
             return None
         if not isinstance(message, Rows):
             raise RefusedError("sensor", f"{type(message).__name__} from a robot that announced landmarks")
-        drive, seen = unpack(message.drive, 3), unpack(message.seen, 3)
+        drive, seen, bearings = unpack(message.drive, 3), unpack(message.seen, 3), unpack(message.bearings, 2)
         self._expect_later(drive[0], self._driven, "odometry")
         self._expect_later(seen[0], self._seen, "sightings")
+        self._expect_later(bearings[0], self._directed, "bearings")
         if drive.shape[1] and not self.header.odometry:
             raise RefusedError("sensor", "odometry from a robot that announced none")
-        first = expect_span(expect_span(self._first, drive[0]), seen[0])
-        names = [*self.names, *message.names]
-        if len(names) > MOST_NAMES:
-            raise RefusedError("oversized", f"{len(names)} names, at most {MOST_NAMES}")
-        if len(set(names)) < len(names):
-            raise RefusedError("malformed", "a name that is known already")
-        what = np.array(message.what, dtype=np.int64)
-        if (what >= len(names)).any():
-            raise RefusedError("malformed", f"an index of {int(what.max())} among {len(names)} names")
-        self.names, self._first = names, first
+        first = self._first
+        for table in (drive, seen, bearings):
+            first = expect_span(first, table[0])
+        names, what = _named(self.names, message.names, message.what)
+        bearing_names, bearing_what = _named(self.bearing_names, message.bearing_names, message.bearing_what)
+        self.names, self.bearing_names, self._first = names, bearing_names, first
         self._driven = float(drive[0, -1]) if drive.shape[1] else self._driven
         self._seen = float(seen[0, -1]) if seen.shape[1] else self._seen
-        part = Part(drive, seen, what)
+        self._directed = float(bearings[0, -1]) if bearings.shape[1] else self._directed
+        part = Part(drive, seen, what, bearings, bearing_what)
         if self.keep:
             self.parts.append(part)
         return part
@@ -131,20 +144,21 @@ class LandmarkRecord:
 
     def log_of(self, part: Part) -> LandmarkLog:
         """The rows of one message as a log of their own."""
-        return self._log(part.drive, part.seen, part.what)
+        return self._log([part])
 
     @property
     def log(self) -> LandmarkLog:
         """All rows so far."""
-        drive = np.concatenate([np.zeros((3, 0)), *(part.drive for part in self.parts)], axis=1)
-        seen = np.concatenate([np.zeros((3, 0)), *(part.seen for part in self.parts)], axis=1)
-        what = np.concatenate([np.zeros(0, np.int64), *(part.what for part in self.parts)])
-        return self._log(drive, seen, what)
+        return self._log(self.parts)
 
-    def _log(
-        self, drive: Float[np.ndarray, "3 m"], seen: Float[np.ndarray, "3 n"], what: Int[np.ndarray, " n"]
-    ) -> LandmarkLog:
+    def _log(self, parts: Sequence[Part]) -> LandmarkLog:
         h = self.header
+        drive = np.concatenate([np.zeros((3, 0)), *(part.drive for part in parts)], axis=1)
+        seen = np.concatenate([np.zeros((3, 0)), *(part.seen for part in parts)], axis=1)
+        what = np.concatenate([np.zeros(0, np.int64), *(part.what for part in parts)])
+        t, bearing = np.concatenate([np.zeros((2, 0)), *(part.bearings for part in parts)], axis=1)
+        whom = np.concatenate([np.zeros(0, np.int64), *(part.bearing_what for part in parts)])
+        directed = SightingTable(t, whom, np.full(len(t), np.nan), bearing, tuple(self.bearing_names))
         return LandmarkLog(
             h.log_robot,
             Odometry(drive[0].copy(), drive[1].copy(), drive[2].copy()) if h.odometry else None,
@@ -152,5 +166,30 @@ class LandmarkRecord:
             h.dropped,
             tuple(map(finding_of, h.findings)),
             h.source,
+            bearings=directed if self.bearing_names else NOTHING_SEEN,
             misread=unpack(h.misread, 1)[0],
+            unused=tuple(map(unused_of, h.unused)),
         )
+
+
+def rows_told(messages: Iterable[Message]) -> LandmarkLog | None:
+    """The log that a robot's messages make, from its header on; None without one."""
+    record: LandmarkRecord | None = None
+    for message in messages:
+        if isinstance(message, Header):
+            record = LandmarkRecord.begin(message)
+        elif isinstance(message, Rows) and record is not None:
+            record.add(message)
+    return None if record is None else record.log
+
+
+def _named(known: list[str], fresh: list[str], what: list[int]) -> tuple[list[str], Int[np.ndarray, " n"]]:
+    """All names known with a message, and the indices in it; raises RefusedError when they can't be."""
+    names, index = [*known, *fresh], np.array(what, dtype=np.int64)
+    if len(names) > MOST_NAMES:
+        raise RefusedError("oversized", f"{len(names)} names, at most {MOST_NAMES}")
+    if len(set(names)) < len(names):
+        raise RefusedError("malformed", "a name that is known already")
+    if (index >= len(names)).any():
+        raise RefusedError("malformed", f"an index of {int(index.max())} among {len(names)} names")
+    return names, index

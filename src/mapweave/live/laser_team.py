@@ -14,12 +14,16 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
 from ..core import se2
+from ..core.records import Track
 from ..laser.robot_graph import RobotGraph
 from ..mapping.config import LaserConfig
 from ..mapping.merge_search import Start, start_between
+from ..team.relative_frame import PLACING_LEVER, SURE_THETA
+from ..team.walls import unless_far
 from .door import decode
 from .driven import DrivenSession
 from .isolation import in_words
+from .joined import Joined, into_one_frame
 from .laser_stream import LaserRecord
 from .messages import Header, Scans
 from .pair_search import PairSearch, PairTrial
@@ -111,7 +115,7 @@ class WovenTeam:
 
     placed: where each one's frame stands; decisions: in words; tiles: the map, drawn; worked: robot -> its first
     message that is not in them; behind: messages that were heard and are not; number: counts the solutions; lost: why
-    robots are in them no more.
+    robots are in them no more. anchors: where each one's first keyframe is; ways: its keyframes in its own frame.
     """
 
     placed: Mapping[str, Placed]
@@ -121,6 +125,8 @@ class WovenTeam:
     number: int
     worked: Mapping[str, int] = field(default_factory=dict)
     lost: Mapping[str, str] = field(default_factory=dict)
+    anchors: Mapping[str, Float[np.ndarray, "3"]] = field(default_factory=dict)
+    ways: Mapping[str, Track] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -143,6 +149,7 @@ class LiveLaserTeam:
 
     starts: for robots in an order, by place, where their frames are said to lie in that of the first. woven: how often
     the graph of all was solved. lost: robots on whose data something failed, and what: they are followed no more.
+    joined: what sightings tie, which no wall is believed against.
     """
 
     store: Store
@@ -153,6 +160,7 @@ class LiveLaserTeam:
     lost: dict[str, str] = field(default_factory=dict)
     woven: int = 0
     unlaid: int = 0
+    joined: Joined = field(default_factory=Joined)
     _placed: dict[str, Placed] = field(default_factory=dict)
     _standing: dict[str, Standing] = field(default_factory=dict)  # as they were woven last
     _decisions: list[str] = field(default_factory=list)
@@ -226,7 +234,7 @@ class LiveLaserTeam:
         pair = self.search.next({name: sizes[name] for name in names}, common)
         if pair is None:
             return None
-        start = start_between(starts, names.index(pair[0]), names.index(pair[1]))
+        start = start_between(starts, names.index(pair[0]), names.index(pair[1])) or self._sighted_start(*pair)
         sessions = [self.robots[name].session for name in pair]
         graphs = [graph for session in sessions if (graph := session.keyframes) is not None]
         a, b = (np.array(graph.pose) for graph in graphs)
@@ -238,6 +246,7 @@ class LiveLaserTeam:
 
     def weaving(self) -> Weaving | None:
         """All robots' graphs as they are, with what is decided on pairs so far; None before there is any robot."""
+        self._overrule_walls()
         there = list[RobotGraph]()
         for name in self._sizes():
             with self._at_cost_of(name):
@@ -267,6 +276,8 @@ class LiveLaserTeam:
         for name, placed in list(self._placed.items()):
             with self._at_cost_of(name):
                 parts.setdefault(placed.component, {})[name] = self._now(name)
+        ways = {name: self._way(name) for standing in parts.values() for name in standing}
+        parts, where = self._tied_together(parts)
         self._mappers, before = [], self._mappers
         tiles: dict[TileKey, bytes] = {}
         self.unlaid = 0
@@ -286,7 +297,47 @@ class LiveLaserTeam:
         behind = sum(max(n - worked.get(name, 0), 0) for name, n in heard.items())
         behind -= sum(heard.get(name, 0) for name in self.lost)
         decisions = [*self._decisions, *(f"{name}: left out, {why}" for name, why in self.lost.items())]
-        return WovenTeam(dict(self._placed), decisions, tiles, behind, self.woven, worked, dict(self.lost))
+        where = {name: placed for name, placed in where.items() if name in self._placed}
+        anchors = {name: at.pose[0] for standing in parts.values() for name, at in standing.items()}
+        return WovenTeam(where, decisions, tiles, behind, self.woven, worked, dict(self.lost), anchors, ways)
+
+    def _way(self, name: str) -> Track:
+        """The robot's keyframes in its own frame."""
+        graph = self.robots[name].session.keyframes
+        assert graph is not None  # noqa: S101  (it has a place)
+        return Track(np.array([node.t for node in graph.nodes]), np.array(graph.pose))
+
+    def _sighted_start(self, a: str, b: str) -> Start | None:
+        """Where sightings say that the frame of `b` lies in that of `a`; None where they say nothing."""
+        at = self.joined.between(a, b)
+        graphs = [self.robots[name].session.keyframes for name in (a, b)]
+        if at is None or graphs[0] is None or graphs[1] is None:
+            return None
+        T = se2.compose(se2.compose(graphs[0].pose[0], at), se2.inverse(graphs[1].pose[0]))
+        return Start(np.asarray(T), np.array([*2 * [PLACING_LEVER * self.joined.sure], SURE_THETA]))
+
+    def _overrule_walls(self) -> None:
+        """Robots are tied by walls no more that sightings put elsewhere."""
+        for (a, b), tried in list(self.search.tried.items()):
+            start = self._sighted_start(a, b) if {a, b} <= self.robots.keys() and tried.merge.merged else None
+            if start is not None:
+                merge = unless_far(tried.merge, start, self._way(b), self.joined.sure)
+                self.search.tried[a, b] = tried._replace(merge=merge)
+
+    def _tied_together(
+        self, parts: Mapping[int, Mapping[str, Standing]]
+    ) -> tuple[dict[int, dict[str, Standing]], dict[str, Placed]]:
+        """The parts with those in one that sightings tie, and where each robot's frame stands in them."""
+        placed = {name: self._placed[name] for standing in parts.values() for name in standing}
+        whole = {part: dict(standing) for part, standing in parts.items()}
+        anchors = {part: {name: at.pose[0] for name, at in sorted(each.items())} for part, each in parts.items()}
+        for part, (root, T, cov) in into_one_frame(anchors, self.joined.tied).items():
+            for name, at in whole.pop(part).items():
+                whole[root][name] = Standing(at.ids, np.asarray(se2.compose(T, at.pose)))
+                old = placed[name]
+                spread = se2.composed_covariance(T, cov, old.frame, old.frame_cov)
+                placed[name] = Placed(root, np.asarray(se2.compose(T, old.frame)), spread, old.scale, own=old.own)
+        return whole, placed
 
     def _place_new(self) -> None:
         """Robots that were not woven yet stand in parts of their own."""

@@ -17,6 +17,7 @@ from ..mapping.config import LaserConfig
 from ..mapping.merge import Merge
 from .beside import HUNG, beside
 from .isolation import in_words
+from .joined import Joined
 from .laser_team import LiveLaserTeam, Starts, WovenTeam, nobody
 from .pair_search import PairTrial
 from .store import Store
@@ -59,6 +60,7 @@ class LaserWeaver:
         self._every = every
         self._heard: dict[str, int] = {}
         self._void: set[str] = set()
+        self._joined = Joined()
         self._changed = Condition()
         self._ended = False
         self._thread = Thread(target=self._live, name="weaver", daemon=True)
@@ -80,6 +82,10 @@ class LaserWeaver:
             if dict(heard) != self._heard:
                 self._heard = dict(heard)
                 self._changed.notify()
+
+    def tie(self, joined: Joined) -> None:
+        """What sightings tie: it is drawn in one frame from now on, and no wall is believed against it."""
+        self._joined = joined
 
     def begin_again(self, robot: str) -> None:
         """What this robot had told is void: from here on it has told what the store holds."""
@@ -125,6 +131,8 @@ class LaserWeaver:
                 undrawn |= done is _Solving
                 late = OVERDUE if waiting > len(heard) else 0.0  # what is new goes first
                 now = time.monotonic()
+                if self._team.joined is not self._joined:
+                    self._team.joined, unsolved, undrawn = self._joined, True, True
                 if unsolved and self._work is None and now >= self._weave_due + late:
                     unsolved = False
                     self._solve()

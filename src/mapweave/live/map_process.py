@@ -4,9 +4,9 @@ import math
 import sys
 import time
 from collections import Counter, OrderedDict, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from queue import Empty, Full, Queue
 from threading import Event, Lock
@@ -17,18 +17,21 @@ import msgspec
 import numpy as np
 
 from ..core.errors import DataError, UsageError
+from ..core.landmark_log import LandmarkLog
+from ..core.names import robot_name
 from ..landmarks.config import EkfSlamConfig
 from ..mapping.config import LaserConfig
 from .beside import beside
 from .columns import listed, square, triangle, unpack_triangle
 from .door import decode
 from .inbox import Inbox, Ledger
-from .isolation import in_words
+from .isolation import in_words, without_culprits
+from .joined import Apart, Joined
 from .landmark_robot import mapped_again
-from .landmark_stream import LandmarkRecord
+from .landmark_stream import LandmarkRecord, rows_told
 from .laser_team import Starts, WovenTeam, nobody
 from .laser_weaver import LaserWeaver
-from .messages import LARGEST, MapState, Numbers, RefusedError, RobotState, Snapshot, count, encode
+from .messages import LARGEST, MapState, Numbers, RefusedError, RobotState, Snapshot, Tile, count, encode
 from .placed import Placed
 from .shared_map import Fused, SharedMap
 from .store import Store
@@ -171,6 +174,7 @@ SWITCH = 0.0005  # [s] between threads: who follows robots comes back from each 
 STATE_EVERY = 1.0  # [s], and as soon as landmark robots are fused
 CLOCK_EVERY = 5.0  # [s]
 FUSED = 0.25  # of the time between two solutions of laser robots: how often landmark robots are fused at most
+JOINING_REST = 3.0  # the time without joining laser robots and landmark robots, in that it took
 FUSING_REST = 0.25  # the time without fusing is at least so many times what fusing took
 BEHIND = 10  # messages of a robot that are missing, or not worked in: beyond, it catches up
 TELL_CLOCK = 1.0  # [s] that a clock is off before it is told
@@ -179,7 +183,20 @@ REST = 5.0  # [s] before a thread that died is started again
 MOST_FINDINGS = 100  # told: what goes wrong as often goes wrong on
 
 Say = Callable[[str], None]
+Joins = Callable[[Apart, Sequence[LandmarkLog]], Joined]
 Step = TypeVar("Step")
+
+
+def _joined(joins: Joins, store: Store, heard: Mapping[str, int], apart: Apart) -> Joined:
+    """What `joins` makes of the rows of these robots, robot -> its first number missing; of those it can be made of."""
+    logs = {}
+    for name, end in heard.items():
+        log = rows_told(decode(payload) for _, payload in store.get(name, 0, end - 1))
+        if log is not None and len(log):
+            logs[name] = log
+    joined, _, failed = without_culprits(list(logs), lambda some: joins(apart, [logs[name] for name in some]))
+    why = [f"{name}: not laid beside laser robots: {error}" for name, error in failed.items()]
+    return replace(joined or Joined(), decisions=[*(joined or Joined()).decisions, *why])
 
 
 @dataclass(slots=True)
@@ -236,7 +253,10 @@ class MapProcess:
         self._remembering: tuple[str, Future[Snapshot | None]] | None = None
         self._ended = False
         self._fusing: tuple[float, Future[Fused]] | None = None  # since when [s]
-        self._fuse_due = self._hearsay_due = float("-inf")
+        self._fuse_due = self._hearsay_due = self._join_due = float("-inf")
+        self.joins: Joins | None = None
+        self._joining: tuple[float, Future[Joined]] | None = None  # since when [s]
+        self._joined_of: object = None
         self.clocks: dict[str, ClockOffset] = {}
         self.findings: dict[str, None] = {}
         self._anew: dict[str, int] = {}  # how often each robot's history was put right, as the weaver knows it
@@ -302,6 +322,7 @@ class MapProcess:
             self._safely("mapping a robot that is gone", self._remember)
             if self._safely("fusing", lambda: self._fuse(every)):
                 state = float("-inf")
+            self._safely("joining lasers and landmarks", lambda: self._join(every))
             if now >= clock + CLOCK_EVERY:
                 clock = now
                 self._safely("asking for clocks", self._ask_clocks)
@@ -375,9 +396,48 @@ class MapProcess:
         self._fusing = None
         now = time.monotonic()
         self._fuse_due = max(begin + FUSED * every, now + FUSING_REST * (now - begin))
-        self.shared.take_fused(fused.result())
-        self._tell_corrections()
+        self._tell(self.shared.take_fused(fused.result()))
         return True
+
+    def _join(self, every: float) -> None:
+        """What laser robots and landmark robots made apart is tied by what they saw of each other, beside."""
+        now = time.monotonic()
+        if self._joining is not None:
+            begin, joined = self._joining
+            if joined.done():
+                self._joining = None
+                self._join_due = now + max(every, JOINING_REST * (now - begin))
+                self._tell(self.shared.take_joined(joined.result().after(self.shared.joined)))
+                if self._weaver is not None:
+                    self._weaver.tie(self.shared.joined)
+            return
+        ledgers = {n: x for n, x in self.inbox.ledgers.items() if isinstance(x.record, LandmarkRecord) and x.sure > 1}
+        if self.joins is None or self._woven is None or not ledgers or now < self._join_due:
+            return
+        fresh = self._woven.number, {name: ledger.sure for name, ledger in ledgers.items()}
+        if fresh == self._joined_of:
+            return
+        self._joined_of = fresh
+        work = partial(_joined, self.joins, self._store, fresh[1], self._mixed(self._woven))
+        self._joining = now, beside(work)
+
+    def _mixed(self, woven: WovenTeam) -> Apart:
+        """What is known of a mixed team, by the names in its logs."""
+        called, told = {}, {}
+        for name, ledger in self.inbox.ledgers.items():
+            if ledger.record is None:
+                continue
+            robot = robot_name(ledger.record.header.log_robot)
+            called[robot] = name
+            if ledger.status is not None:
+                told[robot] = ledger.status.t, np.array(ledger.status.pose)
+        return Apart({robot: woven.ways[name] for robot, name in called.items() if name in woven.ways}, told, called)
+
+    def _tell(self, tiles: Sequence[Tile]) -> None:
+        """Everybody hears of squares that changed, and every robot where its frame is."""
+        for tile in tiles:
+            put(self._session, self._topics.tile(self.name, tile), encode(tile))
+        self._tell_corrections()
 
     def _remember(self) -> None:
         """A landmark robot that is gone, and never told this process a snapshot, is mapped from what it told, once."""
@@ -425,9 +485,7 @@ class MapProcess:
         self._woven = weaver.newest
         for name, why in self._woven.lost.items():
             self.finding(f"{name}: left out of the map while robots drive: {why}")
-        for tile in self.shared.take(self._woven):
-            put(self._session, self._topics.tile(self.name, tile), encode(tile))
-        self._tell_corrections()
+        self._tell(self.shared.take(self._woven))
 
     def _living_weaver(self, every: float) -> LaserWeaver | None:
         """The thread that follows laser robots; None for a moment after one has died."""
@@ -440,6 +498,7 @@ class MapProcess:
                 return None
             self.shared.resolution = self.laser.resolution
             self._weaver = LaserWeaver(self._store, self.laser, every, self.starts)
+            self._weaver.tie(self.shared.joined)
             self._weaver.start()
         return self._weaver
 

@@ -13,7 +13,7 @@ import msgspec
 
 from ..core.errors import DataError, MapweaveError, UsageError
 
-PROTOCOL = 3
+PROTOCOL = 4
 LARGEST = 1 << 20  # bytes of a message: beyond, it is refused unread
 LONGEST_NAME = 64
 MOST_LEVELS = 16  # of tiles
@@ -30,8 +30,8 @@ class Header(_Message, tag="header", frozen=True):
     """The first message of a history: who tells it, and what its log is called by those who read it whole.
 
     sensor: "landmarks" or "laser"; log_robot: `robotK`; names: landmarks and robots by the index that `Rows.what`
-    counts from; odometry: whether there is any; odometry_from, log_hash: of a laser's log; misread: stamps of
-    sightings that were left out, a column.
+    counts from, bearing_names: those that `Rows.bearing_what` does; odometry: whether there is any; odometry_from,
+    log_hash: of a laser's log; misread: stamps of sightings that were left out, a column.
     """
 
     robot: str
@@ -44,6 +44,7 @@ class Header(_Message, tag="header", frozen=True):
     odometry_from: str = ""
     log_hash: str = ""
     names: list[str] = []
+    bearing_names: list[str] = []
     dropped: dict[str, int] = {}
     findings: list[dict[str, Any]] = []
     unused: list[dict[str, Any]] = []
@@ -53,7 +54,8 @@ class Header(_Message, tag="header", frozen=True):
 class Rows(_Message, tag="rows", frozen=True):
     """Rows of a landmark log that are later than those of all earlier messages.
 
-    drive: columns t, v, w; seen: columns t, range, bearing; what: an index a sighting; names: put after those known.
+    drive: columns t, v, w; seen: columns t, range, bearing; what: an index a sighting; names: put after those known;
+    bearings, bearing_what, bearing_names: the same of sightings that told no range, columns t, bearing.
     """
 
     robot: str
@@ -63,6 +65,9 @@ class Rows(_Message, tag="rows", frozen=True):
     seen: bytes = b""
     what: list[int] = []
     names: list[str] = []
+    bearings: bytes = b""
+    bearing_what: list[int] = []
+    bearing_names: list[str] = []
 
 
 class ScanBeams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -1,11 +1,14 @@
 """The shared map while robots drive: their latest snapshots through the very fusion of `map`."""
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
+from ..core import se2
 from ..core.errors import EstimateError
 from ..core.records import Track
 from ..fusion.config import FuseConfig
@@ -15,11 +18,16 @@ from ..landmarks.landmark_map import LocalMap, Submap
 from .columns import unpack, unpack_triangle
 from .inbox import Ledger
 from .isolation import in_words, without_culprits
+from .joined import Joined, SightedAt, into_one_frame
 from .landmark_stream import LandmarkRecord
 from .laser_team import WovenTeam
 from .messages import LandmarkState, Snapshot, Tile
 from .placed import ALONE, Placed
 from .tiles import COARSER, TileKey
+
+LASER, LANDMARKS = "laser", "landmarks"
+Part = tuple[str, int]  # the kind of its robots, and its number among those of that kind
+UNMOVED = (np.zeros(3), np.zeros((3, 3)))
 
 
 class Fused(NamedTuple):
@@ -63,10 +71,10 @@ class Fusing(NamedTuple):
 
 @dataclass(slots=True)
 class SharedMap:
-    """The fusion of the newest snapshots, or laser robots as they were woven last.
+    """The fusion of the newest snapshots and laser robots as they were woven last, in one frame where they are tied.
 
     used: robot -> message number of the snapshot that is in it; name: of the map process; tiles: the map that lasers
-    made, its finest cells `resolution` [m] wide.
+    made, its finest cells `resolution` [m] wide. Of a mixed team the part of most robots is number 1.
     """
 
     cfg: FuseConfig = field(default_factory=FuseConfig)
@@ -79,6 +87,11 @@ class SharedMap:
     name: str = "map"
     resolution: float = 0.05
     tiles: dict[TileKey, bytes] = field(default_factory=dict)
+    joined: Joined = field(default_factory=Joined)
+    _met: list[str] = field(default_factory=list)
+    _woven: WovenTeam | None = None
+    _fused: Fused | None = None
+    _fusions: int = 0
 
     def fusing(self, ledgers: Iterable[Ledger]) -> Fusing | None:
         """The newest snapshots where any is fresher than those of the map; None when none is."""
@@ -102,33 +115,74 @@ class SharedMap:
         names = {m.robot: name for name, m in maps.items()}
         return Fusing(replace(self.fuser, cfg=self.cfg), tuple(maps.values()), names, used, refused)
 
-    def take_fused(self, fused: Fused) -> None:
-        """Landmark robots stand as they were fused; what can't be fused is said in `decisions`."""
-        self.fused += 1
-        self.used, self.fuser = dict(fused.used), fused.fuser
+    def take_fused(self, fused: Fused) -> list[Tile]:
+        """Landmark robots stand as they were fused; what can't be fused is said in `decisions`.
+
+        The tiles that are not as they were told last, for a part may have another number.
+        """
+        self._fusions += 1
+        self.used, self.fuser, self._fused = dict(fused.used), fused.fuser, fused
+        return self._laid_out()
+
+    def take(self, team: WovenTeam) -> list[Tile]:
+        """Laser robots stand as `team` has them; the tiles that are not as they were told last."""
+        self._woven = team
+        return self._laid_out()
+
+    def take_joined(self, joined: Joined) -> list[Tile]:
+        """Parts lie to each other as `joined` has them; the tiles that are not as they were told last."""
+        self.joined = joined
+        return self._laid_out()
+
+    def _laid_out(self) -> list[Tile]:
+        """Everybody placed anew: both kinds of parts, those that are tied in one frame and with one number."""
+        woven, fused = self._woven, self._fused
+        lasers = {} if woven is None else woven.placed
+        components = [] if fused is None else list(fused.fuser.fusion.components)
+        names = {} if fused is None else fused.names
+        parts: dict[Part, dict[str, Float[np.ndarray, 3]]] = {}
+        for name, placed in lasers.items():
+            anchor = placed.frame if woven is None else woven.anchors.get(name, placed.frame)
+            parts.setdefault((LASER, placed.component), {})[name] = anchor
+        for k, component in enumerate(components, 1):
+            parts[LANDMARKS, k] = {names[robot]: component.frames[robot] for robot in component.robots}
+        lies = into_one_frame(parts, self.joined.tied)
+        sighted = {
+            name: s for name, s in self.joined.sighted.items() if any(s.to in anchors for anchors in parts.values())
+        }
+        number = _numbered(parts, {part: root for part, (root, _, _) in lies.items()}, sighted)
         self.placed, self.landmarks = {}, []
-        fusion = fused.fuser.fusion
-        for k, component in enumerate(fusion.components, 1):
+        for name, placed in lasers.items():
+            self.placed[name] = replace(placed, component=number[LASER, placed.component])
+        for k, component in enumerate(components, 1):
+            _, T, cov = lies.get((LANDMARKS, k), (None, *UNMOVED))
             for robot in component.robots:
-                self.placed[fused.names[robot]] = _place(k, component, robot)
-            cov = component.map.cov
-            for i, (landmark, (x, y)) in enumerate(zip(component.map.ids, component.map.mean.tolist(), strict=True)):
-                block = cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
-                numbers = (float(block[0, 0]), float(block[0, 1]), float(block[1, 1]))
-                self.landmarks.append(LandmarkState(id=landmark, x=x, y=y, cov=numbers, component=k))
-        self.decisions = [
+                if names[robot] not in sighted:
+                    self.placed[names[robot]] = _place(number[LANDMARKS, k], component, robot, T, cov)
+            if not parts[LANDMARKS, k].keys() <= sighted.keys():
+                self.landmarks += _told(component, number[LANDMARKS, k], T, cov)
+        for name, one in sighted.items():
+            part = next(part for part, anchors in parts.items() if one.to in anchors)
+            _, T, cov = lies.get(part, (None, *UNMOVED))
+            self.placed[name] = _stands(number[part], one, np.asarray(se2.compose(T, parts[part][one.to])), cov)
+        self.decisions = [*([] if woven is None else woven.decisions), *self._said(fused), *self.joined.decisions]
+        self.fused = self._fusions + (0 if woven is None else woven.number)
+        self.meet(self._met)
+        before, tiles = self.tiles, {} if woven is None else woven.tiles
+        self.tiles = {(number.get((LASER, key[0]), key[0]), *key[1:]): cells for key, cells in tiles.items()}
+        changed = [key for key, cells in self.tiles.items() if before.get(key) != cells]
+        return [self.tile(key) for key in (*sorted(before.keys() - self.tiles.keys()), *changed)]
+
+    @staticmethod
+    def _said(fused: Fused | None) -> list[str]:
+        if fused is None:
+            return []
+        fusion = fused.fuser.fusion
+        return [
             *fused.refused,
             *(f"{fused.names[d.robot]}: {d.decision}, {d.reason}" for d in fusion.decisions),
             *(f"warning: {w}" for w in fusion.warnings),
         ]
-
-    def take(self, team: WovenTeam) -> list[Tile]:
-        """Laser robots stand as `team` has them; the tiles that are not as they were told last."""
-        self.fused, self.placed, self.decisions = team.number, dict(team.placed), list(team.decisions)
-        changed = {key: cells for key, cells in team.tiles.items() if self.tiles.get(key) != cells}
-        gone = self.tiles.keys() - team.tiles.keys()
-        self.tiles = dict(team.tiles)
-        return [self.tile(key) for key in (*sorted(gone), *changed)]
 
     def tile(self, key: TileKey) -> Tile:
         """The tile as it is told; without cells where there is none any more."""
@@ -140,6 +194,7 @@ class SharedMap:
 
     def meet(self, lasers: Sequence[str]) -> bool:
         """A laser robot that is not woven yet stands in a part of its own; whether one is new."""
+        self._met = list(lasers)
         new = [name for name in lasers if name not in self.placed]
         for name in new:
             self.placed[name] = Placed(max((p.component for p in self.placed.values()), default=0) + 1, *ALONE)
@@ -170,5 +225,47 @@ def local_map_of(ledger: Ledger, snapshot: Snapshot) -> LocalMap:
     )
 
 
-def _place(k: int, component: Component, robot: str) -> Placed:
-    return Placed(k, component.frames[robot], component.frame_cov[robot], component.scales.get(robot, 1.0))
+def _numbered(
+    parts: Mapping[Part, Mapping[str, object]], roots: Mapping[Part, Part], sighted: Mapping[str, SightedAt]
+) -> dict[Part, int]:
+    """The number of each part, that of most robots first; parts of one kind alone keep theirs."""
+    if len({kind for kind, _ in parts}) < 2:
+        return {part: part[1] for part in parts}
+    size = Counter(roots.get(part, part) for part, anchors in parts.items() for name in anchors if name not in sighted)
+    size.update(roots.get(p, p) for s in sighted.values() for p, anchors in parts.items() if s.to in anchors)
+    order = sorted((part for part in parts if part not in roots), key=lambda part: -size[part])
+    number = {part: k for k, part in enumerate(order, 1)}
+    return {part: number[roots.get(part, part)] for part in parts}
+
+
+def _place(
+    number: int, component: Component, robot: str, T: Float[np.ndarray, "3"], cov: Float[np.ndarray, "3 3"]
+) -> Placed:
+    """Where a robot's frame stands, its component lying at `T` with covariance `cov`."""
+    frame = component.frames[robot]
+    whole = se2.composed_covariance(T, cov, frame, component.frame_cov[robot])
+    return Placed(number, np.asarray(se2.compose(T, frame)), whole, component.scales.get(robot, 1.0))
+
+
+def _stands(number: int, sighted: SightedAt, anchor: Float[np.ndarray, "3"], cov: Float[np.ndarray, "3 3"]) -> Placed:
+    """Where the frame stands of a robot that was sighted from `anchor`, whose part lies with covariance `cov`."""
+    pose = np.asarray(se2.compose(anchor, sighted.at))
+    frame = np.asarray(se2.compose(pose, se2.inverse(sighted.told)))
+    lever = np.linalg.inv(se2.compose_jacobians(frame, sighted.told)[0])
+    spread = se2.turned_covariance(float(anchor[2]), sighted.cov) + cov
+    return Placed(number, frame, lever @ spread @ lever.T, 1.0, own=False)
+
+
+def _told(
+    component: Component, number: int, T: Float[np.ndarray, "3"], cov: Float[np.ndarray, "3 3"]
+) -> list[LandmarkState]:
+    """The landmarks of a component that lies at `T` with covariance `cov`."""
+    out = []
+    R, own = se2.rotation(T[2]), component.map.cov
+    for i, (name, place) in enumerate(zip(component.map.ids, component.map.mean, strict=True)):
+        J = se2.compose_jacobians(T, np.append(place, 0.0))[0][:2]
+        block = R @ own[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] @ R.T + J @ cov @ J.T
+        x, y = se2.act(T, place).tolist()
+        numbers = (float(block[0, 0]), float(block[0, 1]), float(block[1, 1]))
+        out.append(LandmarkState(id=name, x=x, y=y, cov=numbers, component=number))
+    return out

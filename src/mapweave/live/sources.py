@@ -12,6 +12,7 @@ from ..core.laser_log import LaserLog
 from ..core.names import in_order, robot_key, robot_name
 from ..io.landmark_logs import is_landmark_log, read_landmark_logs
 from ..io.laser_logs import LaserSource, is_laser_log, read_laser, robots_of
+from ..io.mixed_logs import is_mixed, read_mixed_landmarks, sorted_logs
 from ..io.mrclam import write_mrclam
 from ..io.unknown import not_known
 from ..sim.landmarks import TeamWorld, simulate_team
@@ -45,6 +46,8 @@ def open_source(source: str, name: str, robot: str | None, seed: int = 0) -> Lan
         raise UsageError(f"--source {source}: expected {LANDMARKS} or {OFFICE}")
     if not path.exists():
         raise UsageError(f"--source {source}: no such file or folder")
+    if is_mixed([path]):
+        return _of_mixed(path, key, name, source, asked=robot is not None)
     if is_landmark_log(path):
         return _chosen(list(read_landmark_logs(path)), key, name, source, asked=robot is not None)
     if is_laser_log(path):
@@ -83,6 +86,20 @@ def _laser(path: Path, key: str | None, name: str, *, asked: bool) -> LaserLog:
         raise UsageError(f"--robot {key}: {path} holds one robot")
     number = re.search(r"(\d+)$", name)
     return read_laser(path, robot_name("1" if number is None else str(int(number[1]))), replace(source, name=called))
+
+
+def _of_mixed(path: Path, key: str | None, name: str, source: str, *, asked: bool) -> LandmarkLog | LaserLog:
+    """The log of one robot of a mixed team's folder, as `map` reads it there; a robot tells of one sensor alone."""
+    found = sorted_logs([path], LaserSource())
+    logs = {log.robot: log for log in read_mixed_landmarks(found)}
+    log = _chosen(list(logs.values()), key, name, source, asked=asked)
+    laser = found.lasers.get(log.robot)
+    if laser is None:
+        return log
+    if len(log):
+        what = "a laser log and rows of wheels or sightings"
+        raise UsageError(f"--source {source}: robot {robot_key(log.robot)} has {what}; a live robot has one sensor")
+    return read_laser(laser.path, log.robot, laser.source)
 
 
 def _office(k: int, seed: int) -> LaserLog:

@@ -196,12 +196,12 @@ def map_mixed(
     known: places known beforehand, whose frame becomes the map's.
     """
     by = {log.robot: log for log in logs}
-    bodies = [_body(team) for team in mapped if len(team.landmarks)]
-    bodies += [Body({robot: s.track}, {}, own_clock=robot in own_clocks) for robot, s in scanned.items()]
-    held = {robot for body in bodies for robot in body.robots}
+    lasers = [Body({robot: s.track}, {}, own_clock=robot in own_clocks) for robot, s in scanned.items()]
+    held = {*scanned, *(robot for team in mapped if len(team.landmarks) for robot in team.robots)}
     loose = [log for log in logs if log.robot not in held]
     known = known or PlacePriors()
-    layout = tied_by_known(lay_out(bodies, loose, by, labels, placing, smoothing), by, known, smoothing)
+    layout = first_layout(logs, lasers, mapped, labels, smoothing, placing)
+    layout = tied_by_known(layout, by, known, smoothing)
     walls = CommonWalls(scanned)
     if laser is not None:
         walls = common_walls(layout, scanned, laser, placing)
@@ -235,6 +235,21 @@ def map_mixed(
         against = known.contradicted(done.map, smoothing.known)
         components.append(replace(done, map=cut, notes=(*done.notes, *notes, *against)))
     return MixedMap(tuple(components), layout, _paths(components, walls, by), clocks, walls.merges)
+
+
+def first_layout(
+    logs: Sequence[LandmarkLog],
+    lasers: Sequence[Body],
+    mapped: Sequence[TeamMap],
+    labels: Labels,
+    smoothing: SmoothingConfig,
+    placing: PlacingConfig,
+) -> Layout:
+    """What `lasers` and `mapped` made, and robots that made nothing, tied by what they saw of each other alone."""
+    bodies = [*(_body(team) for team in mapped if len(team.landmarks)), *lasers]
+    held = {robot for body in bodies for robot in body.robots}
+    by = {log.robot: log for log in logs}
+    return lay_out(bodies, [log for log in logs if log.robot not in held], by, labels, placing, smoothing)
 
 
 def _further(before: Layout, after: Layout) -> Layout:

@@ -280,12 +280,17 @@ def _refined(
     return T, np.linalg.inv(H)
 
 
+Move = tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]
+UNMOVED: Move = (np.zeros(3), np.zeros((3, 3)))
+
+
 @dataclass(frozen=True, slots=True)
 class Body:
     """Robots and landmarks whose places to each other are known, in one frame.
 
     anchors: robot -> stamps [s] within `reach` [s] of which its track is believed; one that is not named is believed
-    everywhere. clock: [s] by which the stamps of the tracks are ahead of the team's.
+    everywhere. clock: [s] by which the stamps of the tracks are ahead of the team's. moves: robot -> where the frame
+    that its track began in lies by now, and the covariance of the ties that say so; one that is not named never moved.
     """
 
     tracks: Mapping[str, Track]
@@ -294,6 +299,7 @@ class Body:
     reach: Mapping[str, float] = field(default_factory=dict)
     clock: float = 0.0
     own_clock: bool = False
+    moves: Mapping[str, Move] = field(default_factory=dict)
 
     @property
     def robots(self) -> tuple[str, ...]:
@@ -325,12 +331,18 @@ class Body:
         tracks = {robot: replace(track, t=track.t - self.clock) for robot, track in self.tracks.items()}
         return replace(self, tracks=tracks, clock=0.0)
 
-    def moved(self, T: Float[np.ndarray, "3"]) -> "Body":
-        """The same seen from a frame in which its own frame is at `T`."""
+    def moved(self, T: Float[np.ndarray, "3"], cov: Float[np.ndarray, "3 3"] | None = None) -> "Body":
+        """The same seen from a frame in which its own frame is at `T`, with covariance `cov` where that is known."""
+        sure = np.zeros((3, 3)) if cov is None else cov
+        moves = {}
+        for robot in self.tracks:
+            before, spread = self.moves.get(robot, UNMOVED)
+            moves[robot] = np.asarray(se2.compose(T, before)), se2.composed_covariance(T, sure, before, spread)
         return replace(
             self,
             tracks={robot: moved_track(track, T) for robot, track in self.tracks.items()},
             landmarks={name: se2.act(T, p) for name, p in self.landmarks.items()},
+            moves=moves,
         )
 
     def joined(self, other: "Body") -> "Body":
@@ -341,6 +353,7 @@ class Body:
             {**b.landmarks, **a.landmarks},
             {**b.anchors, **a.anchors},
             {**b.reach, **a.reach},
+            moves={**b.moves, **a.moves},
         )
 
 
@@ -501,7 +514,7 @@ def _merged(
             a = replace(a, clock=clock, own_clock=False)
             clocks.update(dict.fromkeys(a.robots, clock))
         ties.append(Tie(a.robots, b.robots, relation.agree, relation.of, clock))
-        alive[i] = a.joined(b.moved(relation.transform))
+        alive[i] = a.joined(b.moved(relation.transform, relation.cov))
         del alive[j]
         candidates = {pair: tie for pair, tie in candidates.items() if not {i, j} & set(pair)}
 

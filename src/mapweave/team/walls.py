@@ -142,19 +142,22 @@ def _near_the_layout(
                 )
                 merge = merge_maps(maps[i], maps[j], cfg.merge, start)
                 if merge.transform is not None:
-                    merge = _unless_far(merge, start, scanned[robots[j]].track, placing)
+                    merge = unless_far(merge, start, scanned[robots[j]].track, placing.sure_xy)
                 out[i, j] = merge
                 if merge.merged:
                     group = {k: group[i] if g == group[j] else g for k, g in group.items()}
     return out
 
 
-def _unless_far(merge: Merge, start: Start, track: Track, placing: PlacingConfig) -> Merge:
-    """The merge; refused where walls put the second robot's trajectory elsewhere than sightings of the team do."""
+def unless_far(merge: Merge, start: Start, track: Track, sure: float) -> Merge:
+    """The merge; refused where walls put the second robot's trajectory elsewhere than sightings of the team do.
+
+    sure: [m] sd of the loosest tie by sightings that is believed.
+    """
     assert merge.transform is not None  # noqa: S101  (merged)
     ways = [se2.act(T, track.pose[:, :2]) for T in (start.transform, merge.transform)]
     away = float(np.hypot(*(ways[1] - ways[0]).T).mean())
-    if away <= WALLS_OFF * np.sqrt(2.0) * placing.sure_xy:
+    if away <= WALLS_OFF * np.sqrt(2.0) * sure:
         return merge
     reason = f"their walls fit {away:.1f} m from where sightings of the team place them"
     return replace(merge, merged=False, transform=None, covariance=None, reason=reason)
