@@ -3,11 +3,14 @@
 import time
 
 import live_explore
+import msgspec
 import numpy as np
 import pytest
 
 import mapweave
+from mapweave.api.live_explore import Explorer, PartPlanner
 from mapweave.core.errors import DataError, UsageError
+from mapweave.exploration.laser.config import LaserExploreConfig
 from mapweave.live.door import decode
 from mapweave.live.messages import Closed, GoalMessage, MapState, RobotState, Scans, Tile, encode
 from mapweave.live.store import Store
@@ -104,6 +107,17 @@ def test_a_goal_holds_for_the_map_it_was_made_in_until_it_is_told_no_more():
     now[0] = STALE + 0.1
     team.take(state())
     assert team.goal("r1") is None
+
+
+def test_of_a_mixed_team_robots_with_a_laser_alone_are_sent_to_see(monkeypatch):
+    both = state(robots=("r1", "r2"))
+    both.robots[1] = msgspec.structs.replace(both.robots[1], sensor="landmarks")
+    team = LiveTeam()
+    team.take(both)
+    monkeypatch.setattr(PartPlanner, "goals", lambda _, team, robots, *more: {r.name: (1.0, 2.0, 0.0) for r in robots})
+    explorer = Explorer(LaserExploreConfig())
+    explorer.look(team, 1)
+    assert set(explorer.goals) == {"r1"}
 
 
 def test_invented_maps_and_goals_take_no_room_without_end():

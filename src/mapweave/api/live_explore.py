@@ -74,10 +74,10 @@ class Explorer:
     _numbers: dict[str, int] = field(default_factory=dict)
 
     def look(self, team: LiveTeam, step: int) -> None:
-        """Each part of the map by itself: robots of one share out what is left to see there."""
+        """Each part of the map by itself: laser robots of one share out what is left to see there."""
         parts: dict[int, list[TeamRobot]] = {}
         for robot in team.robots().values():
-            if robot.part:
+            if robot.part and robot.sensor == "laser":
                 parts.setdefault(robot.part, []).append(robot)
         before, self._parts = {planner.robots: planner for planner in self._parts}, []
         goals: dict[str, tuple[int, Numbers, int]] = {}

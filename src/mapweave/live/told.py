@@ -91,6 +91,7 @@ def follow(session: Session, topics: Topics, follower: Follower, level: int | No
 class TeamRobot:
     """A robot as a map process has it. there: whether it is on the network; finished: whether its drive has ended.
 
+    sensor: `laser` or `landmarks`, empty before it told.
     part: of the map in which it stands, 1 the largest, 0 none; the rest None then. pose: (3,) `T_map_robot`
     [m, m, rad] and cov: (3, 3) of it; frame: (3,) `T_map_local`, where the frame of its own estimate stands.
     """
@@ -102,6 +103,7 @@ class TeamRobot:
     pose: Float[np.ndarray, "3"] | None
     cov: Float[np.ndarray, "3 3"] | None
     frame: Float[np.ndarray, "3"] | None
+    sensor: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,7 +212,7 @@ class LiveTeam:
             pose, frame = (frozen(r.pose), frozen(r.frame)) if placed else (None, None)
             cov = frozen(square(r.cov)) if placed else None
             part = r.component if placed else 0
-            out[r.robot] = TeamRobot(r.robot, r.there, r.finished, part, pose, cov, frame)
+            out[r.robot] = TeamRobot(r.robot, r.there, r.finished, part, pose, cov, frame, r.sensor)
         return out
 
     def grid(self, part: int = 1, level: int = 0) -> TeamGrid | None:
