@@ -259,3 +259,26 @@ def test_a_robot_without_a_map_stands_where_it_was_sighted():
     assert shared.placed["r3"].component == shared.placed["r2"].component == 2
     assert list(shared.tiles) == [(2, 0, 0, 0)]
     assert shared.decisions == ["tied"]
+
+
+@pytest.mark.drawn
+@pytest.mark.long
+def test_a_map_process_interrupted_twice_at_work_is_gone_and_its_store_holds_all(team, direct, tmp_path):
+    fleet = Fleet(tmp_path, team[0])
+    try:
+        fleet.map(robots=",".join([*NAMES, "r9"]))  # waits on for one that never comes
+        for name in NAMES:
+            fleet.robot(name, rate="inf")
+        for name in NAMES:
+            assert fleet.wait(name) == 0, fleet.said(name)
+        fleet.interrupt("map")  # what was heard is still being followed and solved
+        fleet.hears("map", " messages")
+        fleet.interrupt("map")  # and now the final map is made
+        assert fleet.wait("map") == 130, fleet.said("map")
+        assert "Traceback" not in fleet.said("map")
+        assert not (tmp_path / "out-map").exists()
+        fleet.map(robots=",".join(NAMES))
+        assert fleet.wait("map") == 0, fleet.said("map")
+    finally:
+        fleet.end()
+    same_result(direct, tmp_path / "out-map")
