@@ -233,6 +233,13 @@ def test_parts_lie_in_one_frame_wherever_their_own_have_gone():
         assert lies[3][2][2, 2] == pytest.approx(2 * 0.1**2)
 
 
+def test_a_tie_stays_as_it_was_unless_it_moved_or_is_surer_by_now():
+    before = Joined({"b": tie("a", 1.0, 0.0, 0.0)})
+    for now, held in ((tie("a", 1.05, 0.0, 0.0), True), (tie("a", 1.3, 0.0, 0.0), False), (tie("c", 1.0, 0, 0), False)):
+        assert (Joined({"b": now}).after(before).tied["b"] is before.tied["b"]) == held
+    assert Joined({"b": tie("a", 1.01, 0.0, 0.0, sd=0.05)}).after(before).tied["b"].at[0] == 1.01
+
+
 def test_ties_that_go_round_in_a_circle_or_to_nobody_leave_one_frame():
     anchors = {k: {name: np.zeros(3)} for k, name in enumerate("abc")}
     round_again = {"a": tie("c", 1, 0, 0), "b": tie("a", 1, 0, 0), "c": tie("b", 1, 0, 0)}

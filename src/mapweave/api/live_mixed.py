@@ -14,10 +14,12 @@ from ..landmarks.mapping import local_map
 from ..live.joined import Apart, Joined, SightedAt, Tied
 from ..team.clocks import on_camera_clock
 from ..team.mixed import first_layout, regained
-from ..team.relative_frame import SURE_THETA, UNMOVED, Body, Labels
+from ..team.relative_frame import CLOCK_TOGETHER, PLACING_LEVER, SURE_THETA, UNMOVED, Body, Labels
 from ..team.team_map import TeamMap
 from .map_mixed import MixedMapConfig, maps_landmarks, without_contradicted
 from .team import team_maps
+
+TOGETHER = CLOCK_TOGETHER * PLACING_LEVER  # times the sd that independent sightings would give a tie
 
 Anchors = Mapping[str, Float[np.ndarray, "3"]]
 
@@ -74,7 +76,10 @@ def _first(body: Body, anchors: Anchors, apart: Apart) -> str | None:
 
 
 def _ties(body: Body, first: str, anchors: Anchors, apart: Apart) -> dict[str, Tied]:
-    """By the team's names, robots with a map of their own beside `first`; the errors of two ties are independent."""
+    """By the team's names, robots with a map of their own beside `first`; the errors of two ties are independent.
+
+    Of one tie they are not: sightings err together for seconds, and most where frames begin, far from where robots met.
+    """
     base, spread = body.moves.get(first, UNMOVED)
     J = se2.inverse_jacobian(base)
     back, back_cov = se2.inverse(base), J @ spread @ J.T
@@ -85,7 +90,7 @@ def _ties(body: Body, first: str, anchors: Anchors, apart: Apart) -> dict[str, T
         T, cov = body.moves.get(robot, UNMOVED)
         at = se2.between(se2.compose(base, anchors[first]), se2.compose(T, anchors[robot]))
         whole = se2.composed_covariance(back, back_cov, T, cov)
-        out[apart.called[robot]] = Tied(apart.called[first], np.asarray(at), whole)
+        out[apart.called[robot]] = Tied(apart.called[first], np.asarray(at), TOGETHER**2 * whole)
     return out
 
 

@@ -10,6 +10,8 @@ from jaxtyping import Float
 from ..core import se2
 from ..core.records import Track
 
+SURER = 2.0  # times as large a covariance as now may have been for a tie to stay as it was
+
 Key = TypeVar("Key", bound=Hashable)
 
 
@@ -52,13 +54,13 @@ class Joined:
     sure: float = 0.0
 
     def after(self, before: "Joined") -> "Joined":
-        """The same, with ties as they were `before` that moved by less than they are sure of: nothing shifts for it."""
+        """The same, with ties as they were `before` that are hardly surer and moved by less than they are sure of."""
         held = {}
         for name, new in self.tied.items():
             old = before.tied.get(name)
             if old is not None and old.to == new.to:
-                moved = np.abs(se2.between(old.at, new.at))
-                held[name] = old if (moved <= np.sqrt(np.diag(new.cov))).all() else new
+                near = (np.abs(se2.between(old.at, new.at)) <= np.sqrt(np.diag(new.cov))).all()
+                held[name] = old if near and np.trace(old.cov) <= SURER * np.trace(new.cov) else new
         return replace(self, tied={**self.tied, **held})
 
     def between(self, a: str, b: str) -> Float[np.ndarray, "3"] | None:
