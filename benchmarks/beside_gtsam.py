@@ -38,12 +38,12 @@ from mapweave.solve import SolveConfig, minimise
 from mapweave.team.commanded_motion import random_walk
 from mapweave.team.config import MOTION_NOISE_OUTLIER, UNKNOWN_MEMORY, SmoothingConfig
 from mapweave.team.factors import CAMERA_NOISE_OUTLIER
-from mapweave.team.problem import TeamProblem, team_problem
+from mapweave.team.problem import SMOOTHING_ITERATIONS, TeamProblem, team_problem
 from mapweave.team.robot_part import PARAMETERS, RobotPart
 from mapweave.team.team_map import TeamMap
 
 CFG = SmoothingConfig()
-LIMITS = SolveConfig(max_iterations=CFG.max_iterations, damping=1e-4, step_tolerance=1e-4, cost_tolerance=5e-5)
+LIMITS = SolveConfig(max_iterations=SMOOTHING_ITERATIONS, damping=1e-4, step_tolerance=1e-4, cost_tolerance=5e-5)
 Labels = Mapping[str, Mapping[str, str]]
 Row = dict[str, float]
 
@@ -67,7 +67,7 @@ def steps_of(part: RobotPart) -> tuple[np.ndarray, np.ndarray]:
         keeps = part.instants.gap
         if not len(part.log.sightings):
             keeps = np.maximum(keeps, UNKNOWN_MEMORY)
-        return np.zeros((len(t) - 1, 3)), random_walk(t, CFG.motion, keeps)
+        return np.zeros((len(t) - 1, 3)), random_walk(t, keeps)
     moved = part.motion.between(t, known.speed_scale, known.turn_scale, known.lag)
     return moved.step, part.motion.noise(t, known.lag, CFG.motion)
 

@@ -48,7 +48,7 @@ def fit(path: Path) -> Law:
     returns = [beams(scan, "none", None, cfg.beam) for scan in log.scans]
     rows, poses = next(ways(log, returns, calibrating(len(returns)), cfg))
     scans = [returns[k] for k in rows]
-    made = calibrated(scans, poses, cfg.calibration)
+    made = calibrated(scans, poses)
     if made is None:
         raise SystemExit(f"{path}: its light follows no law")
     law = made.whole

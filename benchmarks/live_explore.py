@@ -32,16 +32,16 @@ from mapweave.core import se2
 from mapweave.core.walls import Walls
 from mapweave.core.workers import keep_one_blas_thread
 from mapweave.evaluation.building import known_at, survey_building
-from mapweave.exploration.laser.config import LaserExploreConfig
+from mapweave.exploration.laser.config import LaserPlan
 from mapweave.exploration.laser.frontiers import mapped_ground
 from mapweave.exploration.laser.mission import points_of, route_to
-from mapweave.exploration.laser.planners import FOLLOW_LOOKAHEAD, candidate_commands, collision_free, steer
+from mapweave.exploration.laser.planners import FOLLOW_LOOKAHEAD, GUARD, candidate_commands, collision_free, steer
 from mapweave.live.transport import LISTENING
 from mapweave.sim.laser import START_NS
 from mapweave.sim.laser_team import LaserRobotsConfig, LaserTeamSim
 from mapweave.sim.laser_worlds import office_floor
 
-CFG = LaserExploreConfig()
+CFG = LaserPlan()
 WAY_AGAIN = 4  # steps until the way to a goal is looked for anew: the map has grown
 STUCK = 8  # steps on one spot with a goal
 ASIDE = 5  # steps away from what is near, then
@@ -95,14 +95,14 @@ class Driver:
 def away_from(points: np.ndarray) -> np.ndarray:
     """The way out of a doorway that is too near on one side: the command that ends farthest from everything."""
     commands, ends = candidate_commands(CFG)
-    free, _ = collision_free(commands, points, CFG.radius + CFG.guard, CFG)
+    free, _ = collision_free(commands, points, CFG.radius + GUARD, CFG)
     room = np.hypot(*(ends[:, None, :2] - points).transpose(2, 0, 1)).min(axis=1) if len(points) else ends[:, 0]
     return commands[np.argmax(np.where(free, room, -np.inf))]
 
 
 def in_turns(commands: np.ndarray, places: np.ndarray, step: int) -> np.ndarray:
     """The commands, but robots so near to one another that both could drive into each other move one at a time."""
-    near = np.hypot(*(places[:, None] - places).T) < 2 * (CFG.radius + CFG.speed * CFG.period + CFG.guard)
+    near = np.hypot(*(places[:, None] - places).T) < 2 * (CFG.radius + CFG.speed * CFG.period + GUARD)
     turn = (step + np.arange(len(places))) % len(places) == 0
     return np.where(((near.sum(axis=0) == 1) | turn)[:, None], commands, 0.0)
 

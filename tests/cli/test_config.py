@@ -41,8 +41,7 @@ def test_an_edited_key_is_read_and_a_key_that_is_not_set_stays_so(tmp_path):
 
 
 def test_laser_and_landmark_keys_stand_in_tables():
-    looks = {"agreement", "mirrored"}
-    landmarks = looks | {"ekf", "fuse", "kidnap", "placing", "smoothing", "online"}
+    landmarks = {"agreement", "ekf", "fuse", "placing", "smoothing", "online"}
     for laser, tables in ((False, landmarks), (True, {"laser"})):
         assert set(tomllib.loads(configuration("map", laser=laser))) == tables
     assert set(tomllib.loads(configuration("locate"))) == {"swarm", "motion", "commanded"}

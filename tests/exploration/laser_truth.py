@@ -5,7 +5,7 @@ from scipy import ndimage
 
 from mapweave.core import se2
 from mapweave.core.walls import WallIndex
-from mapweave.exploration.laser.config import LaserExploreConfig
+from mapweave.exploration.laser.config import OCCUPIED_SHARE, LaserPlan
 from mapweave.exploration.laser.mission import LaserBelief
 from mapweave.exploration.planner_interface import find_planner
 from mapweave.kernels.laser.scan_laying import CellCounts, lay_scan
@@ -33,8 +33,8 @@ def known_map(world: LaserWorld, lower, upper, cell: float = 0.2) -> Occupancy:
 class Team:
     """A simulated team, the map it has drawn so far, and its planner's memory."""
 
-    def __init__(self, world, starts, lower, upper, cfg: LaserExploreConfig | None = None, seed: int = 0) -> None:
-        self.cfg = cfg or LaserExploreConfig()
+    def __init__(self, world, starts, lower, upper, cfg: LaserPlan | None = None, seed: int = 0) -> None:
+        self.cfg = cfg or LaserPlan()
         self.sim = LaserTeamSim(world, np.array(starts, float), seed=seed)
         M = len(self.sim.true_poses)
         self.alive, self.memory, self.step = np.ones(M, dtype=bool), {}, 0
@@ -45,9 +45,7 @@ class Team:
         self.given: Occupancy | None = None
 
     def grid(self) -> Occupancy:
-        return self.given or from_counts(
-            self.cfg.resolution, self.corner, self.hits, self.passes, self.cfg.occupied_share
-        )
+        return self.given or from_counts(self.cfg.resolution, self.corner, self.hits, self.passes, OCCUPIED_SHARE)
 
     def look(self, j: int) -> np.ndarray:
         """Robot j's scan is drawn into the map, other robots left out; its points in the robot's frame."""

@@ -135,7 +135,7 @@ def test_ones_own_planner_may_stand_in_the_folder_one_is_in(tmp_path, monkeypatc
             r"submap\.x: unknown key; objective\.w_area: .* not finite",
         ),
         (HALL, "[robots]\nperiod = 0\n[plan]\nresolution = 0\n", r"robots\.period: .* above 0.*; plan\.resolution: "),
-        (HALL, "cell = 3\n[plan]\nspeed = nan\n", r"plan\.speed: .* not finite; cell: unknown key"),
+        (HALL, "cell = 3\n[plan]\nmargin = nan\n", r"plan\.margin: .* not finite; cell: unknown key"),
         (
             FIELD,
             "cell = 3\nfusion_gate = 9\nx = 1\n",

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from mapweave.exploration.laser.config import LaserExploreConfig
-from mapweave.exploration.laser.frontiers import frontiers, mapped_ground, pockets
+from mapweave.exploration.laser import frontiers as laser_frontiers
+from mapweave.exploration.laser.config import LaserPlan
+from mapweave.exploration.laser.frontiers import FRONTIER_SPLIT, frontiers, mapped_ground, pockets
 from mapweave.laser.occupancy import FREE, OCCUPIED, UNKNOWN, Occupancy
 
-CFG = LaserExploreConfig()
+CFG = LaserPlan()
 NOBODY = np.zeros((0, 2))
 
 
@@ -22,8 +23,8 @@ def box(inside: str, rows: int = 9) -> Occupancy:
     return drawn(wall, *[f"#{inside}#"] * rows, wall)
 
 
-def found(grid: Occupancy, *at: tuple[float, float], cfg: LaserExploreConfig = CFG):
-    return frontiers(mapped_ground(grid, np.array(at), NOBODY, cfg), cfg)
+def found(grid: Occupancy, *at: tuple[float, float]):
+    return frontiers(mapped_ground(grid, np.array(at), NOBODY, CFG))
 
 
 def test_known_ground_within_walls_has_no_frontier():
@@ -47,7 +48,7 @@ def test_no_frontier_is_seen_through_a_gap_that_no_robot_fits_through():
 def test_a_closed_room_seen_by_a_stray_beam_is_no_goal_and_is_told_as_a_pocket():
     grid = box("." * 8 + "##" + "." * 10 + " " * 6)
     ground = mapped_ground(grid, np.array([[0.9, 1.0]]), NOBODY, CFG)
-    assert frontiers(ground, CFG) == []
+    assert frontiers(ground) == []
     middles = pockets(ground)
     assert len(middles) == 1
     assert 2.2 < middles[0][0] < 4.2
@@ -67,12 +68,12 @@ def test_a_long_frontier_is_cut_into_pieces_no_longer_than_asked():
     pieces = found(grid, (0.9, 6.0))
     assert len(pieces) >= 4
     for piece in pieces:
-        assert np.ptp(piece.unknown[:, 1]) <= CFG.split + 0.5
+        assert np.ptp(piece.unknown[:, 1]) <= FRONTIER_SPLIT + 0.5
 
 
-def test_there_are_never_more_pieces_than_asked():
-    cfg = LaserExploreConfig(most_goals=3)
-    assert len(found(box("." * 8 + " " * 8, rows=90), (0.9, 6.0), cfg=cfg)) <= 3
+def test_there_are_never_more_pieces_than_asked(monkeypatch):
+    monkeypatch.setattr(laser_frontiers, "MOST_GOALS", 3)
+    assert len(found(box("." * 8 + " " * 8, rows=90), (0.9, 6.0))) <= 3
 
 
 def test_a_dead_robot_in_a_door_shuts_it():
@@ -81,4 +82,4 @@ def test_a_dead_robot_in_a_door_shuts_it():
     grid = drawn("#" * 19, *[row] * 4, *[open_row] * 5, *[row] * 4, "#" * 19)
     assert found(grid, (0.9, 1.4))
     dead = np.array([[0.2 * 9.5, 0.2 * 7.5]])
-    assert frontiers(mapped_ground(grid, np.array([[0.9, 1.4]]), dead, CFG), CFG) == []
+    assert frontiers(mapped_ground(grid, np.array([[0.9, 1.4]]), dead, CFG)) == []

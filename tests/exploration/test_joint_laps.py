@@ -20,7 +20,8 @@ TASK = LapTask(
     density=1 / 275,
     error_weight=80.0,
     search=LapSearchConfig(tries=40),
-    heading_cost=ExploreConfig().steering.heading_cost,
+    looks=1,
+    sight_margin=0.0,
 )
 
 

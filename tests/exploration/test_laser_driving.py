@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapweave.exploration.laser.config import LaserExploreConfig
+from mapweave.exploration.laser.config import ARCS_APART, LaserPlan
 from mapweave.exploration.laser.mission import PlannerState
 from mapweave.exploration.laser.planners import predicted_path, steer
 
 from .laser_truth import Team, known_map, room, world_of
 
-CFG = LaserExploreConfig()
+CFG = LaserPlan()
 ALONE = np.zeros((0, 2))
 
 
@@ -24,7 +24,7 @@ def test_no_command_ever_brings_the_disc_to_a_point_of_the_scan(seed, count, far
     target = rng.uniform(-4, 4, 2)
     command = steer(np.zeros(3), target, points, ALONE, CFG)
     for part in np.linspace(0.0, 1.0, 60):
-        shorter = LaserExploreConfig(period=CFG.period * max(part, 1e-9))
+        shorter = LaserPlan(period=CFG.period * max(part, 1e-9))
         end = predicted_path(np.zeros(3), command, shorter)[-1]
         assert np.hypot(*(points - end).T).min() >= CFG.radius
 
@@ -48,7 +48,7 @@ def test_a_robot_never_drives_into_the_way_another_has_chosen():
     command = steer(np.zeros(3), np.array([2.0, 0.0]), ALONE, other, CFG)
     ends = predicted_path(np.zeros(3), command, CFG)
     apart = np.linalg.norm(ends[:, None] - other[None], axis=-1).min()
-    assert apart >= min(0.5, 2 * CFG.radius + CFG.apart) - 1e-6
+    assert apart >= min(0.5, 2 * CFG.radius + ARCS_APART) - 1e-6
 
 
 def exchanged(world, starts, lower, upper, most: int, homes=None) -> Team:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mapweave.core.errors import UsageError
-from mapweave.exploration.laser.config import LaserExploreConfig
+from mapweave.exploration.laser.config import LaserPlan
 from mapweave.exploration.laser.frontiers import frontiers, mapped_ground
 from mapweave.exploration.laser.mission import PlannerState, route_to
 from mapweave.exploration.laser.planners import (
@@ -24,7 +24,7 @@ from mapweave.sim.laser_worlds import office_floor
 
 from .laser_truth import Team, room, world_of
 
-CFG = LaserExploreConfig()
+CFG = LaserPlan()
 
 
 def office_team(area: float, seed: int, robots: int) -> Team:
@@ -96,7 +96,7 @@ def offers_in_a_hall(places: list[tuple[float, float]], *, width: float = 30.0):
     grid, poses = Occupancy(0.2, np.zeros(2), state), np.array([(*p, 0.0) for p in places])
     ground = mapped_ground(grid, poses[:, :2], np.zeros((0, 2)), CFG)
     state = PlannerState(still=np.zeros(len(places), int))
-    return allocation_problem(ground, frontiers(ground, CFG), state, poses, np.arange(len(places)), CFG)
+    return allocation_problem(ground, frontiers(ground), state, poses, np.arange(len(places)), CFG)
 
 
 def test_tours_send_robots_to_different_sides():

@@ -2,7 +2,7 @@
 
 import inspect
 import re
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass
 
 import numpy as np
 import pytest
@@ -10,13 +10,14 @@ import pytest
 from mapweave.core.config import build
 from mapweave.exploration import world
 from mapweave.exploration.landmarks import config as landmarks
-from mapweave.exploration.landmarks import coverage
+from mapweave.exploration.landmarks import coverage, steering
 from mapweave.exploration.landmarks.config import ExploreConfig, ScenarioConfig, make_field
 from mapweave.exploration.landmarks.coverage import approach_cost
 from mapweave.exploration.landmarks.steering import steer
 from mapweave.exploration.landmarks.team import Team
 from mapweave.exploration.laser import config as laser
-from mapweave.exploration.laser.config import LaserExploreConfig, LaserMissionConfig
+from mapweave.exploration.laser import planners
+from mapweave.exploration.laser.config import LaserMissionConfig, LaserPlan
 from mapweave.exploration.laser.planners import candidate_commands
 from mapweave.exploration.laser.planners import steer as follow
 
@@ -48,15 +49,16 @@ def test_a_file_that_holds_every_default_changes_nothing(kind):
     assert build(kind, values(kind())) == kind()
 
 
-def test_what_a_wrong_heading_costs_decides_whether_a_robot_turns_first():
+def test_what_a_wrong_heading_costs_decides_whether_a_robot_turns_first(monkeypatch):
     cfg = ExploreConfig()
     team = Team(make_field(ScenarioConfig(landmarks=3), 1, 0), cfg, coverage.choose, np.random.default_rng(0))
     pose, goal = np.zeros(3), np.array([0.0, 10.0])
-    eager = replace(cfg, steering=replace(cfg.steering, heading_cost=0.01))
     assert steer(team.belief(), pose, goal, cfg)[1] == max(cfg.commands.turns)
-    strict = replace(cfg, steering=replace(cfg.steering, heading_cost=50.0))
-    assert steer(team.belief(), pose, goal, strict)[0] <= steer(team.belief(), pose, goal, eager)[0]
-    assert steer(team.belief(), pose, np.array([10.0, 0.1]), eager)[0] == max(cfg.commands.speeds)
+    monkeypatch.setattr(steering, "STEERING_HEADING_COST", 50.0)
+    strict = steer(team.belief(), pose, goal, cfg)[0]
+    monkeypatch.setattr(steering, "STEERING_HEADING_COST", 0.01)
+    assert strict <= steer(team.belief(), pose, goal, cfg)[0]
+    assert steer(team.belief(), pose, np.array([10.0, 0.1]), cfg)[0] == max(cfg.commands.speeds)
 
 
 def test_turning_towards_a_place_costs_what_is_set():
@@ -65,12 +67,12 @@ def test_turning_towards_a_place_costs_what_is_set():
         np.testing.assert_allclose(approach_cost(np.zeros((1, 3)), behind, cost), 5.0 + cost * np.pi)
 
 
-def test_robots_drive_backwards_as_fast_as_is_set_and_only_where_it_is_worth_it():
-    cfg = LaserExploreConfig()
-    slow = replace(cfg, follower=replace(cfg.follower, reverse_speed=0.1))
+def test_robots_drive_backwards_a_third_as_fast_and_only_where_it_is_worth_it(monkeypatch):
+    cfg = LaserPlan()
     assert candidate_commands(cfg)[0][:, 0].min() == pytest.approx(-cfg.speed / 3)
-    assert candidate_commands(slow)[0][:, 0].min() == pytest.approx(-0.1 * cfg.speed)
     behind, nobody = np.array([-0.15, 0.0]), np.zeros((0, 2))
-    dear = replace(cfg, follower=replace(cfg.follower, reverse_cost=2.0))
     assert follow(np.zeros(3), behind, nobody, nobody, cfg)[0] < 0.0
-    assert follow(np.zeros(3), behind, nobody, nobody, dear)[0] >= 0.0
+    monkeypatch.setattr(planners, "REVERSE_COST", 2.0)
+    assert follow(np.zeros(3), behind, nobody, nobody, cfg)[0] >= 0.0
+    monkeypatch.setattr(planners, "REVERSE_SPEED", 0.1)
+    assert candidate_commands.__wrapped__(cfg)[0][:, 0].min() == pytest.approx(-0.1 * cfg.speed)

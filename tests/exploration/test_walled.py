@@ -23,7 +23,7 @@ from mapweave.exploration.landmarks.experiment import (
     explore_once,
     with_noise,
 )
-from mapweave.exploration.landmarks.steering import given_up, next_target, offered
+from mapweave.exploration.landmarks.steering import PUT_OFF_AFTER, given_up, next_target, offered
 from mapweave.exploration.landmarks.team import Team
 from mapweave.exploration.planner_interface import find_planner
 from mapweave.io.mrclam import read_mrclam
@@ -259,11 +259,11 @@ def test_a_target_that_is_not_seen_in_time_is_put_off_for_another():
     team.observe_start()
     pose = team.poses()[0]
     first = next_target(team.belief(), 0, pose)
-    assert not given_up(team.belief(), 0, first, KNOWN)
-    team.step = KNOWN.walls.put_off_after
-    assert given_up(team.belief(), 0, first, KNOWN)
+    assert not given_up(team.belief(), 0, first)
+    team.step = PUT_OFF_AFTER
+    assert given_up(team.belief(), 0, first)
     assert not np.array_equal(next_target(team.belief(), 0, pose), first)
-    team.step += 5 * KNOWN.walls.put_off_after
+    team.step += 5 * PUT_OFF_AFTER
     np.testing.assert_array_equal(next_target(team.belief(), 0, pose), first)
 
 

@@ -32,7 +32,7 @@ class OldPlan(LaserExploreConfig):
 
 @pytest.mark.parametrize(
     ("old", "now", "given"),
-    [(OldClosures, ClosureConfig, {"far": 12.0}), (OldPlan, LaserExploreConfig, {"speed": 0.4})],
+    [(OldClosures, ClosureConfig, {"far": 12.0}), (OldPlan, LaserExploreConfig, {"max_steps": 40})],
     ids=["key", "table"],
 )
 def test_a_result_whose_settings_became_constants_is_read_without_them(tmp_path, old, now, given):

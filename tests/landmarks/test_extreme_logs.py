@@ -13,14 +13,19 @@ from mapweave.core.errors import EstimateError
 from mapweave.core.landmark_log import SightingTable
 from mapweave.core.records import Odometry
 from mapweave.io.directory import result_directory
-from mapweave.landmarks.config import EkfSlamConfig
+from mapweave.landmarks import mapping
 from mapweave.landmarks.mapping import local_map, without_impossible
 
 from .robot_worlds import drive
 
 pytestmark = pytest.mark.drawn
 
-BLIND = EkfSlamConfig(most_speed=1e308, most_turn=1e308, most_range=1e308, most_bearing=1e308)
+
+@pytest.fixture
+def blind(monkeypatch):
+    """Nothing is taken for impossible before the filter."""
+    for name in ("MOST_SPEED", "MOST_TURN", "MOST_RANGE", "MOST_BEARING"):
+        monkeypatch.setattr(mapping, name, 1e308)
 
 
 def with_number(log, column, value, rows=slice(40, 41)):
@@ -70,6 +75,7 @@ def test_a_row_that_no_robot_drives_or_sees_is_left_out_and_told(log, column, va
     assert set(m.submap.ids) == set(local_map(clean).submap.ids)
 
 
+@pytest.mark.usefixtures("blind")
 @pytest.mark.parametrize("value", [1e308, -1e308, 1e200, 1e150, 1e60])
 @pytest.mark.parametrize("column", ["v", "w", "range", "bearing"])
 def test_an_estimate_that_leaves_finite_numbers_is_one_error(log, column, value):
@@ -77,20 +83,21 @@ def test_an_estimate_that_leaves_finite_numbers_is_one_error(log, column, value)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:
-            m = local_map(with_number(log, column, value), BLIND)
+            m = local_map(with_number(log, column, value))
         except EstimateError as error:
             assert "EKF-SLAM left finite numbers" in str(error)  # noqa: PT017  (either outcome is right)
         else:
             assert all(np.isfinite(a).all() for a in numbers(m))
 
 
+@pytest.mark.usefixtures("blind")
 def test_a_range_that_overflows_the_filter_is_an_error_and_no_traceback(log):
     with pytest.raises(EstimateError, match="left finite numbers"):
-        local_map(with_number(log, "range", 1e200), BLIND)
+        local_map(with_number(log, "range", 1e200))
 
 
 def test_sane_rows_stay_as_they_are(log):
-    assert without_impossible(log, EkfSlamConfig()) is log
+    assert without_impossible(log) is log
 
 
 @pytest.mark.parametrize("stamps", [1e-9, 1e7, 1e300])

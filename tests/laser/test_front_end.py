@@ -7,6 +7,7 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.kernels.laser.local_map import count_matches
+from mapweave.laser import closures
 from mapweave.laser.beam import BeamConfig, beams
 from mapweave.laser.closures import (
     CLOSURE_SEARCH_REACH,
@@ -16,7 +17,7 @@ from mapweave.laser.closures import (
     Place,
     PlaceMatcher,
 )
-from mapweave.laser.scan_matching import FRONT_END_COARSE, KEYFRAME_DISTANCE, FrontEnd, FrontEndConfig
+from mapweave.laser.scan_matching import FRONT_END_AGREE, FRONT_END_COARSE, KEYFRAME_DISTANCE, FrontEnd, FrontEndConfig
 
 from .test_scan_matching import box_scan
 
@@ -95,9 +96,11 @@ def test_along_a_bare_corridor_a_robot_without_odometry_drives_on_as_it_did():
 
 
 @pytest.mark.parametrize("sd", [[0.3, 0.26, 0.05], [0.1, 0.5, 0.02], [2.0, 2.0, 1.0]])
-def test_a_search_begins_where_most_returns_match_of_all_starts_within_reach(sd):
-    cfg = ClosureConfig(search_xy=0.9, search_turn=0.1, search_beams=30)
-    matcher, sd = PlaceMatcher(cfg, CFG), np.array(sd)
+def test_a_search_begins_where_most_returns_match_of_all_starts_within_reach(monkeypatch, sd):
+    monkeypatch.setattr(closures, "CLOSURE_SEARCH_XY", 0.9)
+    monkeypatch.setattr(closures, "CLOSURE_SEARCH_TURN", 0.1)
+    monkeypatch.setattr(closures, "CLOSURE_SEARCH_BEAMS", 30)
+    matcher, sd = PlaceMatcher(ClosureConfig(), CFG), np.array(sd)
     matcher.front_end.hold([(seen(p), np.array(p)) for p in ([0.0, 0.0, 0.0], [0.2, 0.0, 1.0], [0.0, 0.1, -1.0])])
     b, predicted = seen([0.3, 0.2, 0.1]), np.array([-0.1, 0.5, 0.15])
     thin = slice(None, None, len(b.q) // 30)
@@ -105,7 +108,7 @@ def test_a_search_begins_where_most_returns_match_of_all_starts_within_reach(sd)
     def fits(pose):
         s, normal, q = (np.ascontiguousarray(a[thin]) for a in (b.s, b.normal, b.q))
         return count_matches(
-            matcher.front_end.coarse, FRONT_END_COARSE, s, normal, q, 0.0, CFG.agree, pose, CLOSURE_SEARCH_REACH
+            matcher.front_end.coarse, FRONT_END_COARSE, s, normal, q, 0.0, FRONT_END_AGREE, pose, CLOSURE_SEARCH_REACH
         )
 
     reach = np.minimum(CLOSURE_SEARCH_SD * sd, [0.9, 0.9, 0.1])
@@ -119,7 +122,8 @@ def test_a_search_begins_where_most_returns_match_of_all_starts_within_reach(sd)
 
 
 def test_only_an_unsure_place_is_searched(monkeypatch):
-    matcher, asked = PlaceMatcher(ClosureConfig(least_matches=10), CFG), []
+    monkeypatch.setattr(closures, "CLOSURE_LEAST_MATCHES", 10)
+    matcher, asked = PlaceMatcher(ClosureConfig(), CFG), []
     monkeypatch.setattr(matcher, "_search", lambda _b, predicted, _sd: asked.append(predicted) or predicted)
     place, at = Place([(seen([0.0, 0.0, 0.0]), np.zeros(3))]), np.array([0.1, 0.0, 0.05])
     for sd, searched in (([0.24, 0.24], 0), ([0.26, 0.1], 1), ([0.1, 0.26], 2)):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mapweave.laser.beam import BeamConfig, CalibrationConfig, beams, calibrate
+from mapweave.laser.beam import BeamConfig, beams, calibrate
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import choose_feature
 from mapweave.sim.laser import SECOND_LAW, DriveConfig, Reflectance
@@ -15,7 +15,7 @@ from mapweave.sim.laser_worlds import CorridorConfig, simulate_corridor
 def correlation(sim):
     scans = [beams(s, "raw", None, BeamConfig()) for s in sim.log.scans]
     poses = np.array([s.odometry for s in sim.log.scans])
-    found = calibrate(scans, poses, CalibrationConfig())
+    found = calibrate(scans, poses)
     made = [beams(s, "normalised", found, BeamConfig()) for s in sim.log.scans]
     q = np.concatenate([b.q for b in made])
     rho = np.concatenate([sim.reflectance[k][b.beam] for k, b in enumerate(made)])
@@ -68,7 +68,7 @@ def test_a_planted_law_is_found_as_well_as_is_said(law):
     for seed, distance in ((140, 30.0), (141, 40.0), (142, 80.0), (143, 90.0)):
         sim = simulate_corridor(CorridorConfig(distance=distance, drive=DriveConfig(law=law)), seed=seed)
         scans = [beams(s, "raw", None, BeamConfig()) for s in sim.log.scans]
-        found = calibrate(scans, np.array([s.odometry for s in sim.log.scans]), CalibrationConfig())
+        found = calibrate(scans, np.array([s.odometry for s in sim.log.scans]))
         r = np.concatenate([b.r for b in scans])
         seen = np.array([(np.abs(r - knot) < 0.2).sum() > 200 for knot in found.knots])
         true = np.log(law.from_white(found.knots[None, seen])[0] / law.from_white(np.ones((1, 1)))[0, 0])

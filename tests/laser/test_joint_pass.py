@@ -8,6 +8,7 @@ import pytest
 from mapweave.core import se2
 from mapweave.core.records import frozen
 from mapweave.kernels.laser.joint_scans import LineGate, beams_by_direction, match_beam, match_pairs, refine_poses
+from mapweave.laser import joint_pass as pass_module
 from mapweave.laser.joint_pass import (
     JOINT_PASS_AGREE,
     JOINT_PASS_BLUR,
@@ -170,7 +171,7 @@ def test_keyframes_that_stand_wrong_are_moved_to_where_their_walls_agree():
     assert np.hypot(*after[:, :2].T).max() < 0.025
 
 
-def test_a_round_is_the_dense_step_of_steps_ties_and_all_pairs_that_enough_returns_tell():
+def test_a_round_is_the_dense_step_of_steps_ties_and_all_pairs_that_enough_returns_tell(monkeypatch):
     truth = around(8)
     rng = np.random.default_rng(3)
     pose = truth + rng.normal(0, [0.02, 0.02, 0.01], truth.shape)
@@ -178,21 +179,14 @@ def test_a_round_is_the_dense_step_of_steps_ties_and_all_pairs_that_enough_retur
     drift = se2.compose(steps.measured, rng.normal(0, 0.02, (7, 3)))
     steps = replace(steps, measured=np.asarray(drift))
     ties = PoseGraph.of(pose, [(1, 6)], [se2.between(truth[1], truth[6])], [np.diag([2e4, 1e4, 3e4])])
-    cfg = replace(
-        CFG,
-        widths=(0.08,),
-        before=2,
-        around=2,
-        least_matches=20,
-        least_share=0.7,
-        sigma=0.03,
-        temper=0.2,
-        step_trust=0.6,
-    )
+    given = {"BEFORE": 2, "AROUND": 2, "LEAST_MATCHES": 20, "LEAST_SHARE": 0.7, "SIGMA": 0.03, "TEMPER": 0.2}
+    for name, value in given.items():
+        monkeypatch.setattr(pass_module, f"JOINT_{name}", value)
+    cfg = JointPassConfig(widths=(0.08,))
     x, n = pose.ravel(), len(pose)
     H, g = np.zeros((3 * n, 3 * n)), np.zeros(3 * n)
     H[:3, :3] = 1e8 * np.eye(3)
-    edges = [(i, i + 1, drift[i], 0.6 * steps.information[i] + np.diag([400.0, 400.0, 1 / 0.03**2])) for i in range(7)]
+    edges = [(i, i + 1, drift[i], steps.information[i] + np.diag([400.0, 400.0, 1 / 0.03**2])) for i in range(7)]
     edges.append((1, 6, ties.measured[0], ties.information[0]))
 
     def added(i, j, W, pull):
@@ -206,7 +200,7 @@ def test_a_round_is_the_dense_step_of_steps_ties_and_all_pairs_that_enough_retur
     for i, j, z, information in edges:
         here, R = se2.between(pose[i], pose[j]), se2.turn(-float(z[2]))  # residuals are in the frame that is measured
         added(i, j, R.T @ information @ R, R.T @ information @ se2.between(z, here))
-    counted, index, pairs = 0, cloud.index(JOINT_PASS_SECTORS), paired(pose, cfg)
+    counted, index, pairs = 0, cloud.index(JOINT_PASS_SECTORS), paired(pose)
     for i, j in [*pairs.tolist(), *pairs[:, ::-1].tolist()]:
         ends = np.array([i]), np.array([j]), np.asarray(se2.between(pose[i], pose[j]))[None]
         W, pull, _, near = match_pairs(
@@ -223,7 +217,8 @@ def test_a_round_is_the_dense_step_of_steps_ties_and_all_pairs_that_enough_retur
     assert np.abs(wanted - pose).max() > 1e-3
 
 
-def test_scans_are_laid_on_the_keyframes_around_them_but_not_on_themselves():
+def test_scans_are_laid_on_the_keyframes_around_them_but_not_on_themselves(monkeypatch):
+    monkeypatch.setattr(pass_module, "SCAN_WIDTHS", (0.1, 0.06, 0.04, 0.04))
     truth = around()
     cloud = cloud_at(truth)
     rng = np.random.default_rng(2)
@@ -231,7 +226,7 @@ def test_scans_are_laid_on_the_keyframes_around_them_but_not_on_themselves():
     scans = scan_cloud([seen(p) for p in poses], np.zeros((4, 2)), 90)
     start = poses + rng.normal(0, [0.03, 0.03, 0.015], poses.shape)
     own = np.array([-1, -1, 0, 1])
-    laid = lay_scans(start, scans, truth, cloud, own, replace(CFG, scan_widths=(0.1, 0.06, 0.04, 0.04)))
+    laid = lay_scans(start, scans, truth, cloud, own)
     assert np.abs(se2.between(poses, laid)).max() < 0.02
     near = neighbours(poses, truth, 5, own)
     assert 0 not in near[2]
@@ -255,10 +250,11 @@ def test_a_cloud_holds_so_many_returns_of_every_keyframe_of_all_robots_from_its_
     assert cloud.start[-1] == len(cloud.points)
 
 
-def test_keyframes_are_paired_once_with_neighbours_in_the_drive_and_in_space():
+def test_keyframes_are_paired_once_with_neighbours_in_the_drive_and_in_space(monkeypatch):
     pose = np.column_stack([np.arange(40) % 20, np.zeros(40), np.zeros(40)])  # the same way twice
-    cfg = replace(CFG, before=2, around=3)
-    pairs = paired(pose, cfg)
+    monkeypatch.setattr(pass_module, "JOINT_BEFORE", 2)
+    monkeypatch.setattr(pass_module, "JOINT_AROUND", 3)
+    pairs = paired(pose)
     assert (pairs[:, 0] < pairs[:, 1]).all()
     assert len(np.unique(pairs, axis=0)) == len(pairs)
     held = {tuple(p) for p in pairs.tolist()}
@@ -266,7 +262,7 @@ def test_keyframes_are_paired_once_with_neighbours_in_the_drive_and_in_space():
     assert (0, 3) not in held or JOINT_PASS_REACH >= 3  # by space only
     turned = pose.copy()
     turned[20:, 2] = np.pi  # looking back: nothing in common
-    assert (5, 25) not in {tuple(p) for p in paired(turned, cfg).tolist()}
+    assert (5, 25) not in {tuple(p) for p in paired(turned).tolist()}
 
 
 def test_information_along_a_bare_wall_that_only_noise_in_normals_gives_is_taken_away():
@@ -294,10 +290,10 @@ def test_one_keyframe_or_scans_without_returns_are_no_error():
     assert np.abs(joint_pass(steps_of(truth, truth), cloud, CFG) - truth).max() < 1e-9
 
 
-def test_the_ends_of_two_robots_logs_are_no_neighbours_in_the_drive():
+def test_the_ends_of_two_robots_logs_are_no_neighbours_in_the_drive(monkeypatch):
     pose = np.column_stack([20.0 * np.arange(8), np.zeros(8), np.zeros(8)])
-    cfg = JointPassConfig(before=2)
-    one = {tuple(p) for p in paired(pose, cfg).tolist()}
-    two = {tuple(p) for p in paired(pose, cfg, np.array([0, 0, 0, 0, 1, 1, 1, 1])).tolist()}
+    monkeypatch.setattr(pass_module, "JOINT_BEFORE", 2)
+    one = {tuple(p) for p in paired(pose).tolist()}
+    two = {tuple(p) for p in paired(pose, np.array([0, 0, 0, 0, 1, 1, 1, 1])).tolist()}
     assert one - two == {(3, 4), (2, 4), (3, 5)}
     assert two < one

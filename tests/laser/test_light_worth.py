@@ -13,7 +13,6 @@ from mapweave.laser.beam import (
     NO_LIGHT,
     WHOLE,
     BeamConfig,
-    CalibrationConfig,
     IntensityCalibration,
     beams,
     calibrated,
@@ -128,8 +127,7 @@ def test_what_is_printed_as_the_feature_is_what_steered_without_wheels_too():
 def test_information_is_the_excess_of_places_beside_over_the_square_of_their_distance(drive):
     returns = [beams(scan, "none", None, BeamConfig()) for scan in drive.scans]
     wheels = np.array([scan.odometry for scan in drive.scans])
-    cfg = CalibrationConfig()
-    told = worth(returns, wheels, calibrated(returns, wheels, cfg).halves, CALIBRATION_WINDOW)
+    told = worth(returns, wheels, calibrated(returns, wheels).halves, CALIBRATION_WINDOW)
     assert told.excess == pytest.approx(told.beside**2 / told.repeat**2 - 1, rel=1e-9)
     assert told.information == pytest.approx(told.excess / BESIDE**2)
     assert told.pairs > 1000

@@ -14,7 +14,6 @@ from mapweave.laser.motion_agreement import (
     MOTION_TURN,
     MOTION_WAY,
     MotionAgreement,
-    MotionCheck,
     MotionRatio,
     _measured,
     motion_agreement,
@@ -24,7 +23,7 @@ from mapweave.laser.motion_agreement import (
 
 from ..io.test_scan_agreement import drive, ranges
 
-CFG, BEAM = MotionCheck(), BeamConfig()
+BEAM = BeamConfig()
 
 
 def moved(scans, change=lambda step: step, noise=0.0, seed=0):
@@ -44,28 +43,28 @@ def turned(step, by):
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_scans_that_move_as_the_wheels_do_are_left_alone(seed):
     scans = drive(seed)
-    found = motion_agreement(moved(scans, noise=0.01, seed=seed), scans, BEAM, CFG)
+    found = motion_agreement(moved(scans, noise=0.01, seed=seed), scans, BEAM)
     assert found.scale.value == pytest.approx(1.0, abs=0.02)
     assert found.direction.value == pytest.approx(0.0, abs=0.02)
-    assert found.findings("1", CFG) == ()
+    assert found.findings("1") == ()
 
 
 @pytest.mark.parametrize("scale", [0.8, 1.2])
 def test_scans_that_move_farther_or_less_far_are_told_with_the_factor_and_its_standard_error(scale):
     scans = drive(4)
-    found = motion_agreement(moved(scans, lambda s: s * [scale, scale, 1.0], 0.01), scans, BEAM, CFG)
+    found = motion_agreement(moved(scans, lambda s: s * [scale, scale, 1.0], 0.01), scans, BEAM)
     assert abs(found.scale.value - scale) < max(4 * found.scale.sd, 0.01)
     assert 0 < found.scale.sd < 0.02
-    (told,) = found.findings("1", CFG)
+    (told,) = found.findings("1")
     assert (told.code, told.robot) == ("wheels-scale", "1")
     assert told.value == {"value": found.scale.value, "sd": found.scale.sd}
 
 
 def test_scans_that_move_to_the_side_of_the_wheels_way_are_told():
     scans = drive(5)
-    found = motion_agreement(moved(scans, lambda s: turned(s, -0.15), 0.01), scans, BEAM, CFG)
+    found = motion_agreement(moved(scans, lambda s: turned(s, -0.15), 0.01), scans, BEAM)
     assert found.direction.value == pytest.approx(-0.15, abs=0.02)
-    (told,) = found.findings("1", CFG)
+    (told,) = found.findings("1")
     angle, sd = np.degrees(-found.direction.value), np.degrees(found.direction.sd)
     assert told.code == "scanner-askew"
     assert told.value == {"degrees": pytest.approx(angle), "sd": pytest.approx(sd), "side": "right"}
@@ -73,41 +72,41 @@ def test_scans_that_move_to_the_side_of_the_wheels_way_are_told():
 
 def test_a_difference_that_may_be_chance_or_is_small_is_not_told():
     scans = drive(6)
-    found = motion_agreement(moved(scans, lambda s: s * [1.2, 1.2, 1.0]), scans, BEAM, CFG)
-    assert len(found.findings("1", CFG)) == 1
-    assert replace(found, scale=replace(found.scale, sd=0.06)).findings("1", CFG) == ()
-    assert replace(found, scale=replace(found.scale, value=1.04, sd=0.001)).findings("1", CFG) == ()
+    found = motion_agreement(moved(scans, lambda s: s * [1.2, 1.2, 1.0]), scans, BEAM)
+    assert len(found.findings("1")) == 1
+    assert replace(found, scale=replace(found.scale, sd=0.06)).findings("1") == ()
+    assert replace(found, scale=replace(found.scale, value=1.04, sd=0.001)).findings("1") == ()
 
 
 @pytest.mark.parametrize("scale", [0.9, 1.15])
 def test_scans_that_turn_farther_or_less_far_than_the_wheels_are_told(scale):
     scans = drive(8)
-    found = motion_agreement(moved(scans, lambda s: s * [1.0, 1.0, scale], 0.01), scans, BEAM, CFG)
+    found = motion_agreement(moved(scans, lambda s: s * [1.0, 1.0, scale], 0.01), scans, BEAM)
     assert found.turn.value == pytest.approx(scale, abs=0.02)
-    told = {f.code: f.value for f in found.findings("1", CFG)}
+    told = {f.code: f.value for f in found.findings("1")}
     assert told["wheels-turns"] == {"value": found.turn.value, "sd": found.turn.sd}  # the hall's walls are straight
 
 
 @pytest.mark.parametrize(("walls", "code"), [(None, "turns-scale"), (0.5, "turns-scale"), (0.1, "beams-apart")])
 def test_turns_that_differ_are_the_beams_fault_where_walls_are_bent_and_nobodys_where_none_tells(walls, code):
     found = replace(MotionAgreement(turn=MotionRatio(1.2, 0.01, 50)), walls=walls)
-    assert [f.code for f in found.findings("1", CFG)] == [code]
+    assert [f.code for f in found.findings("1")] == [code]
 
 
 @pytest.mark.parametrize("factor", [0.9, 1.15])
 def test_walls_are_straight_by_right_angles_and_bent_by_wrong_ones(factor):
     scans = drive(9)
     wrong = [replace(s, angle_min=factor * s.angle_min, angle_increment=factor * s.angle_increment) for s in scans]
-    assert straight(scans, factor, CFG) > 0.8
-    assert straight(wrong, factor, CFG) < 0.2
-    assert straight([replace(s, hit=~s.hit) for s in scans], factor, CFG) is None
+    assert straight(scans, factor) > 0.8
+    assert straight(wrong, factor) < 0.2
+    assert straight([replace(s, hit=~s.hit) for s in scans], factor) is None
 
 
 def test_a_bare_corridor_tells_nothing_of_the_way_along_it():
     scans = drive(7, (400.0, 2.0))
     along = [scan for scan in scans if abs(np.sin(scan.odometry[2])) < 0.1]
     assert len(along) > 20
-    assert motion_agreement(1.2 * np.array([s.odometry for s in along]), along, BEAM, CFG).scale is None
+    assert motion_agreement(1.2 * np.array([s.odometry for s in along]), along, BEAM).scale is None
 
 
 @pytest.mark.parametrize(("course", "n"), [(0.5, 39), (0.0, 0)])
@@ -121,14 +120,14 @@ def test_a_way_that_bends_is_told_where_the_walls_at_both_its_ends_stand_across_
         Scan(np.minimum(r, 30.0), r < 30.0, None, -np.pi / 2, np.pi / 179, 30.0, odometry=pose)
         for r, pose in zip(seen, poses, strict=True)
     ]
-    found = motion_agreement(poses, scans, BEAM, CFG).scale
+    found = motion_agreement(poses, scans, BEAM).scale
     assert (found.n if found else 0) == n
 
 
 def test_without_odometry_there_is_nothing_to_say():
     scans = [replace(scan, odometry=None) for scan in drive(7)]
-    assert motion_agreement(np.zeros((len(scans), 3)), scans, BEAM, CFG) == MotionAgreement()
-    assert motion_agreement(np.zeros((0, 3)), [], BEAM, CFG).findings("1", CFG) == ()
+    assert motion_agreement(np.zeros((len(scans), 3)), scans, BEAM) == MotionAgreement()
+    assert motion_agreement(np.zeros((0, 3)), [], BEAM).findings("1") == ()
 
 
 def test_ways_follow_each_other_and_leave_turns_and_standing_out():

@@ -134,7 +134,7 @@ def test_wheels_of_another_unit_are_found_with_the_factor(office):
     sensor = seen_by_scans(office, np.random.default_rng(0))
     found = calibrate_odometry(planted(office.log, at({"speed_scale": 1000.0})), sensor, BEAM)
     assert found.value[0] == pytest.approx(1000.0, rel=0.05)
-    assert found.worth(CFG, stated=False)[0]
+    assert found.worth(stated=False)[0]
 
 
 @pytest.mark.parametrize("name", PLANTED)
@@ -158,7 +158,7 @@ def test_only_what_is_sure_and_matters_is_worth_applying():
     sd = np.full(8, 1e-3)
     off = at({"speed_scale": 1.01, "turn_scale": 1.3, "lag": 0.1, "sensor_x": 0.1, "sensor_yaw": 0.2})
     known = OdometryCalibration(off, sd, np.ones(8, bool), np.zeros(8, bool), WheelNoise(), 0.5, 5.0, 100)
-    names = lambda c, stated: [PARAMETERS[k] for k in np.flatnonzero(c.worth(CFG, stated=stated))]
+    names = lambda c, stated: [PARAMETERS[k] for k in np.flatnonzero(c.worth(stated=stated))]
     assert names(known, False) == ["turn_scale", "sensor_yaw"]
     assert names(known, True) == ["turn_scale", "sensor_x", "sensor_yaw"]
     assert names(replace(known, unheld=50.0), False) == ["speed_scale", "turn_scale", "sensor_yaw"]
@@ -255,7 +255,7 @@ def test_a_fault_that_matters_is_mapped_away_and_told(office, right, name):
     assert np.isin(log.stamps(), made.track.t).all()
     assert made.scan_hash == log.scan_hash()
     again = sensor_poses(made.scans.pose, corrected(log, known).scans)
-    assert not calibrate_odometry(log, again, BEAM).worth(CFG, stated=True).sum() > 1
+    assert not calibrate_odometry(log, again, BEAM).worth(stated=True).sum() > 1
 
 
 def test_wheels_of_another_unit_are_told_where_no_walls_tell_the_way():

@@ -8,7 +8,7 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.core.records import Event, Odometry, Scan
-from mapweave.laser import particle_slam
+from mapweave.laser import particle_slam, scan_odometry
 from mapweave.laser.beam import STEERING
 from mapweave.laser.config import FILTER_SHARED, FILTER_SIGMA
 from mapweave.laser.particle_grid import CELL_CAP, MOST_WEIGHT, CellConfig, ParticleGrid
@@ -79,8 +79,7 @@ def driven(xs, cfg, feature="none"):
 
 
 def small(**how):
-    cfg = LaserConfig(particles=6, threads=1, **how)
-    return replace(cfg, filter=replace(cfg.filter, least_beams=20))
+    return LaserConfig(particles=6, threads=1, **how)
 
 
 def test_particles_move_when_the_robot_has_gone_far_enough_since_they_last_did():
@@ -115,11 +114,12 @@ def test_other_records_than_scans_and_empty_scans_move_nothing():
 
 
 @pytest.mark.parametrize(("matched", "weighed", "moves"), [(10, 10, True), (100, 10, False), (10, 100, False)])
-def test_a_scan_of_fewer_returns_than_matching_or_weighing_asks_for_moves_no_particle(matched, weighed, moves):
-    cfg = small()
-    front = replace(cfg.front_end, least_beams=matched)
-    cfg = replace(cfg, filter=replace(cfg.filter, least_beams=weighed), front_end=front)
-    state, infos = driven([0.0, 2.0], cfg)
+def test_a_scan_of_fewer_returns_than_matching_or_weighing_asks_for_moves_no_particle(
+    monkeypatch, matched, weighed, moves
+):
+    monkeypatch.setattr(scan_odometry, "FRONT_END_LEAST_BEAMS", matched)
+    monkeypatch.setattr(particle_slam, "FILTER_LEAST_BEAMS", weighed)
+    state, infos = driven([0.0, 2.0], small())
     assert (infos[1].decision == "empty") == (matched == 100)
     assert len(state.history) == 1 + moves
     assert np.isfinite(infos[1].n_eff) == moves

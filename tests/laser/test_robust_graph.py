@@ -104,7 +104,7 @@ def test_false_closures_are_dropped_and_told(method, share):
         solved = solve_graph(bad, RobustGraphConfig(method=method))
         false = np.arange(bad.edges) >= graph.edges
         assert not solved.used[false].any()
-        assert solved.rounds < RobustGraphConfig().most_rounds
+        assert solved.rounds < robust_graph.MOST_ROUNDS
         assert solved.iterations >= solved.rounds
         assert {d.edge for d in solved.dropped} == set(np.flatnonzero(~solved.used).tolist())
         for d in solved.dropped:
@@ -139,7 +139,8 @@ def test_weights_are_sought_until_every_edge_counts_whole_or_not_at_all(monkeypa
     rng = np.random.default_rng(2)
     _, graph = laps(rng, n=12, closures=4)
     bad = with_false(graph, 1, rng)
-    held, may, cfg = (0,), np.arange(bad.edges) >= 11, RobustGraphConfig(most_rounds=60)
+    held, may, cfg = (0,), np.arange(bad.edges) >= 11, RobustGraphConfig()
+    monkeypatch.setattr(robust_graph, "MOST_ROUNDS", 60)
     monkeypatch.setattr(robust_graph, "truncated_weights", lambda s, *_: np.full(len(s), weight))
     rounds = robust_graph._believed(bad, cfg, held, (), may)[2]
     assert (rounds < 60) == ends
@@ -156,7 +157,10 @@ def test_of_the_minima_that_two_starts_lead_to_the_lower_is_taken(monkeypatch, a
     given, found = (wound, truth) if astray == "what is given" else (truth, wound)
     all_of_them = np.ones(ring.edges, dtype=bool)
     monkeypatch.setattr(robust_graph, "_believed", lambda *_: (all_of_them, found, 1, 1))
-    solved = solve_graph(replace(ring, pose=given), RobustGraphConfig(gate=1e9, chance=1e-300))
+    monkeypatch.setattr(robust_graph, "CONTRADICTION", 1e9)
+    monkeypatch.setattr(robust_graph, "EDGE_CHANCE", 1e-300)
+    solved = solve_graph(replace(ring, pose=given), RobustGraphConfig())
+    monkeypatch.undo()
     plain = [solve_graph(replace(ring, pose=start), PLAIN).chi2 for start in (truth, wound)]
     assert plain[1] > 10 * plain[0]
     assert solved.chi2 == pytest.approx(plain[0], rel=1e-6)
@@ -194,7 +198,7 @@ def test_the_edge_that_contradicts_all_others_most_is_dropped_beyond_what_chance
     nis = np.full(edges, scatter * stats.chi2.ppf(0.5, 3))
     nis[7] = share * stats.chi2.ppf(1 - 1e-3 / edges, 3)
     monkeypatch.setattr(robust_graph, "left_out_squares", lambda *_: nis)
-    assert robust_graph._worst(graph, solved.solution, asked, RobustGraphConfig()) == (11 + 7 if dropped else None)
+    assert robust_graph._worst(graph, solved.solution, asked) == (11 + 7 if dropped else None)
 
 
 def test_how_far_an_edge_lies_from_the_solution_without_it_is_what_solving_without_it_says():

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.core.errors import ConfigError
 from mapweave.core.records import Scan
 from mapweave.kernels.laser.local_map import MatchCost, ScanPoints, add_points, align_scan, fit_lines, solve3
 from mapweave.laser.beam import BeamConfig, beams
@@ -139,8 +138,3 @@ def test_a_local_map_takes_memory_only_where_something_was_seen():
     fe.insert(seen([0, 0, 0]), np.zeros(3))
     whole = sum(level.nbytes for level in (*fe.sums, *fe.lines))
     assert resident() - before < 0.1 * whole
-
-
-def test_cells_without_a_line_cannot_be_asked_to_agree():
-    with pytest.raises(ConfigError, match=r"front_end\.agree: expected above 0, found 0"):
-        FrontEnd(FrontEndConfig(agree=0.0))

@@ -1,14 +1,11 @@
 """A lag between the clocks of scanner and odometry is found from turns; without turns, or in disorder, none is told."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from mapweave.core.records import Track
-from mapweave.laser.log_warnings import LAG_CAPPED, LAG_TURN, LagCheck, lag_found, stamp_lag
-
-CFG = LagCheck()
+from mapweave.laser import log_warnings
+from mapweave.laser.log_warnings import LAG_CAPPED, LAG_TURN, lag_found, stamp_lag
 
 
 def turns(seed, lag, n=600, noise=0.003):
@@ -25,7 +22,7 @@ def turns(seed, lag, n=600, noise=0.003):
 @pytest.mark.parametrize("lag", [0.0, 0.5, 2.0, -0.5])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_the_lag_of_scans_behind_odometry_is_found(seed, lag):
-    found = stamp_lag(*turns(seed, lag), CFG)
+    found = stamp_lag(*turns(seed, lag))
     assert (found is None or found == 0.0) if lag == 0.0 else found == pytest.approx(lag, abs=0.051)
 
 
@@ -38,13 +35,13 @@ def test_a_lag_is_told_with_its_length_and_which_comes_later():
 
 def test_nothing_is_found_where_nothing_turns_or_headings_have_nothing_in_common():
     t, seen, odometry = turns(3, 0.5)
-    assert stamp_lag(t, 0.0 * seen, odometry, CFG) is None
-    assert stamp_lag(t, turns(4, 0.5)[1], odometry, CFG) is None
-    assert stamp_lag(t, seen, None, CFG) is None
-    assert stamp_lag(t[:1], seen[:1], odometry, CFG) is None
+    assert stamp_lag(t, 0.0 * seen, odometry) is None
+    assert stamp_lag(t, turns(4, 0.5)[1], odometry) is None
+    assert stamp_lag(t, seen, None) is None
+    assert stamp_lag(t[:1], seen[:1], odometry) is None
 
 
-def test_a_lag_that_explains_too_little_of_the_difference_is_not_found():
+def test_a_lag_that_explains_too_little_of_the_difference_is_not_found(monkeypatch):
     t, seen, odometry = turns(1, 0.5, noise=0.03)
     heads = np.unwrap(odometry.pose[:, 2])
 
@@ -55,5 +52,7 @@ def test_a_lag_that_explains_too_little_of_the_difference_is_not_found():
 
     share = left(0.5) / left(0.0)
     assert 0.1 < share < 0.9
-    assert stamp_lag(t, seen, odometry, replace(CFG, gain=1.02 * share)) == pytest.approx(0.5, abs=0.051)
-    assert stamp_lag(t, seen, odometry, replace(CFG, gain=0.98 * share)) is None
+    monkeypatch.setattr(log_warnings, "LAG_GAIN", 1.02 * share)
+    assert stamp_lag(t, seen, odometry) == pytest.approx(0.5, abs=0.051)
+    monkeypatch.setattr(log_warnings, "LAG_GAIN", 0.98 * share)
+    assert stamp_lag(t, seen, odometry) is None

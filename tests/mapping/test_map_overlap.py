@@ -4,7 +4,16 @@ import numpy as np
 
 from mapweave.core import se2
 from mapweave.kernels.mapping.views import judge_walls
-from mapweave.mapping.map_overlap import KeyframeMap, OverlapConfig, seen_alike, wall_overlap
+from mapweave.mapping.map_overlap import (
+    SAME_WALL,
+    SAME_WALL_SHARE,
+    SIDED,
+    VIEW_REACH,
+    VIEW_THROUGH,
+    KeyframeMap,
+    seen_alike,
+    wall_overlap,
+)
 from mapweave.mapping.merge import merge_maps
 
 from ..laser.test_merge import office_pair
@@ -36,11 +45,11 @@ def test_of_a_wall_and_half_of_it_all_of_the_half_overlaps_whichever_map_holds_i
 
 def test_a_wall_is_seen_or_seen_through_as_each_view_has_it():
     """The kernel beside the same said view by view, of maps that lie a little wrong."""
-    made, cfg = office_pair(11, 0.8), OverlapConfig()
+    made = office_pair(11, 0.8)
     T = se2.compose(made.transform, np.array([0.3, -0.2, 0.05]))
     walls, side = se2.act(T, made.b.walls), made.b.walls_side @ se2.rotation(float(T[2])).T
     a, rows = made.a, np.arange(0, len(made.a.pose), 7)
-    args = cfg.reach, cfg.same, cfg.same_share, cfg.through, cfg.sided
+    args = VIEW_REACH, SAME_WALL, SAME_WALL_SHARE, VIEW_THROUGH, SIDED
     seen, gone = judge_walls(a.pose[rows], a.views[rows], walls, side, *args)
     bins = a.views.shape[1]
     seen_here, gone_here, behind = np.zeros(len(walls)), np.zeros(len(walls)), np.zeros(len(walls))
@@ -48,11 +57,11 @@ def test_a_wall_is_seen_or_seen_through_as_each_view_has_it():
         x, y = se2.act(se2.inverse(a.pose[k]), walls).T
         r, at = np.hypot(x, y), np.floor(np.arctan2(y, x) / (2 * np.pi) * bins).astype(int)
         around = a.views[k][(at + np.array([[-1], [0], [1]])) % bins]
-        known = np.isfinite(around).all(axis=0) & (r <= cfg.reach)
-        like = known & (np.abs(around - r) < cfg.same + cfg.same_share * r).any(axis=0)
-        facing = ((a.pose[k, :2] - walls) * side).sum(axis=1) > -cfg.sided * r
+        known = np.isfinite(around).all(axis=0) & (r <= VIEW_REACH)
+        like = known & (np.abs(around - r) < SAME_WALL + SAME_WALL_SHARE * r).any(axis=0)
+        facing = ((a.pose[k, :2] - walls) * side).sum(axis=1) > -SIDED * r
         seen_here, behind = seen_here + (like & facing), behind + (like & ~facing)
-        gone_here += known & ~like & (around.min(axis=0) - r > cfg.through)
+        gone_here += known & ~like & (around.min(axis=0) - r > VIEW_THROUGH)
     assert min(seen_here.sum(), gone_here.sum(), behind.sum()) > 0
     assert np.abs(seen - seen_here).sum() <= 2  # a direction on the border of two bins may fall to either
     assert np.abs(gone - gone_here).sum() <= 2

@@ -9,9 +9,7 @@ from mapweave.kernels.mapping.places import Clouds, SearchedField, SearchRules, 
 from mapweave.laser.place_search import likelihood_field
 from mapweave.mapping import places
 from mapweave.mapping.places import FIELD, LIGHT, PlaceIndex, PlaceMatch, PlaceSearchConfig
-from mapweave.mapping.submaps import BINS, PlaceSubmap, PlaceSubmapConfig, make_submap, middles, signature, way_of
-
-CFG = PlaceSubmapConfig()
+from mapweave.mapping.submaps import BINS, SUBMAP_POINTS, PlaceSubmap, make_submap, middles, signature, way_of
 
 
 def room(seed, boxes=9, size=9.0):
@@ -41,7 +39,7 @@ def seen_from(pose, points, q=None, noise=0.01, seed=0, anchor=0):
     rng = np.random.default_rng(seed)
     back = se2.inverse(np.asarray(pose, float))
     p = se2.act(back, points) + rng.normal(0.0, noise, points.shape)
-    made = make_submap(anchor, anchor, np.zeros((1, 3)), [p], None if q is None else [q], CFG)
+    made = make_submap(anchor, anchor, np.zeros((1, 3)), [p], None if q is None else [q])
     assert made is not None
     return made
 
@@ -224,21 +222,21 @@ def test_what_a_setting_forbids_is_not_found():
 def test_submaps_stand_along_the_way_and_every_segment_has_one():
     way = way_of(np.column_stack([0.5 * np.arange(41.0), np.zeros(41), np.zeros(41)]))
     assert way[-1] == pytest.approx(20.0)
-    assert np.allclose(way[middles(way, CFG)], [1.5, 4.5, 7.5, 10.5, 13.5, 16.5, 19.5])
-    assert middles(way[:3], CFG) == [1]
-    assert middles(way[:1], CFG) == [0]
+    assert np.allclose(way[middles(way)], [1.5, 4.5, 7.5, 10.5, 13.5, 16.5, 19.5])
+    assert middles(way[:3]) == [1]
+    assert middles(way[:1]) == [0]
     turning = np.column_stack([np.zeros(5), np.zeros(5), 0.5 * np.arange(5.0)])
     assert way_of(turning)[-1] == pytest.approx(0.3 * 2.0)
 
 
 def test_too_little_seen_makes_no_submap():
-    assert make_submap(0, 0, np.zeros((1, 3)), [np.ones((5, 2))], None, CFG) is None
+    assert make_submap(0, 0, np.zeros((1, 3)), [np.ones((5, 2))], None) is None
 
 
 def test_a_submap_keeps_little_memory():
     made: PlaceSubmap = seen_from([0, 0, 0], room(0))
     assert made.points.nbytes + made.signature.nbytes + made.thin.nbytes < 32 * 1024
-    assert FULL * 255 * CFG.points < 2**31
+    assert FULL * 255 * SUBMAP_POINTS < 2**31
 
 
 def test_a_place_told_from_its_other_end_has_the_covariance_of_the_same_errors():

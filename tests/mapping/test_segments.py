@@ -18,7 +18,7 @@ from mapweave.mapping.segments import (
     REFUSED,
     SLIP,
     Borders,
-    SegmentConfig,
+    border_covariance,
     bridged,
     held_over,
     pieces_of,
@@ -36,7 +36,7 @@ def info(innovation=(0.0, 0.0, 0.0), share=0.9, decision="matched"):
 
 def after(told, step=STEP, apart=0.2, *, wheels=True):
     """What is said of a scan that comes after many that were sure."""
-    borders = Borders(SegmentConfig())
+    borders = Borders()
     for k in range(LEARNED + 5):
         assert borders.seen(0.2 * k, info(decision="first" if k == 0 else "matched"), STEP, wheels=wheels) == ""
     return borders.seen(0.2 * (LEARNED + 4) + apart, told, step, wheels=wheels)
@@ -81,7 +81,7 @@ def test_a_pause_hid_nothing_where_a_robot_went_on_as_ever_and_scans_are_where_w
 
 def leaps(moves):
     """Whether wheels that drive so far along x from scan to scan [m], a second apart, were set anew, at each."""
-    borders, x, told = Borders(SegmentConfig()), 0.0, []
+    borders, x, told = Borders(), 0.0, []
     for k, move in enumerate(moves):
         x += move
         told.append(borders.leapt(float(k), np.array([x, 0.0, 0.0])))
@@ -100,9 +100,8 @@ def test_that_a_robot_drives_fast_is_known_from_its_first_step():
 
 
 def test_over_a_border_a_long_step_may_err_by_more():
-    cfg = SegmentConfig()
-    assert np.allclose(np.sqrt(np.diag(cfg.covariance(np.zeros(3)))), [1.0, 1.0, 0.5])
-    assert np.allclose(np.sqrt(np.diag(cfg.covariance(np.array([6.0, 0.0, 2.0])))), [3.0, 3.0, 1.0])
+    assert np.allclose(np.sqrt(np.diag(border_covariance(np.zeros(3)))), [1.0, 1.0, 0.5])
+    assert np.allclose(np.sqrt(np.diag(border_covariance(np.array([6.0, 0.0, 2.0])))), [3.0, 3.0, 1.0])
 
 
 def straight(borders=(), closures=(), n=40, step=0.5):

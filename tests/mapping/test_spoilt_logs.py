@@ -14,7 +14,7 @@ from mapweave.laser.pose_graph import PoseGraph
 from mapweave.laser.scan_odometry import blended
 from mapweave.mapping.keyframe_graph import KeyframeGraph, KeyframeGraphConfig
 from mapweave.mapping.places import PlaceMatch
-from mapweave.mapping.segments import GAP
+from mapweave.mapping.segments import GAP, border_covariance
 
 from ..laser.team_logs import office
 
@@ -303,7 +303,7 @@ def test_places_that_look_alike_metres_away_do_not_outvote_right_steps():
 
 def test_over_a_gap_places_where_the_wheels_lead_win_against_many_that_look_alike():
     graph, true = graph_with()
-    graph.nodes[30] = graph.nodes[30]._replace(border=GAP, cov=graph.segments.covariance(graph.nodes[30].step, GAP))
+    graph.nodes[30] = graph.nodes[30]._replace(border=GAP, cov=border_covariance(graph.nodes[30].step, GAP))
     for a, b in LOOPS[4:8]:
         graph.tie(a, b, match(a, b, se2.between(true[a], true[b])))
     for k in range(40):
@@ -316,7 +316,7 @@ def test_over_a_gap_places_where_the_wheels_lead_win_against_many_that_look_alik
 
 def test_a_robot_that_was_carried_is_where_all_places_say():
     graph, true = graph_with()
-    cov = graph.segments.covariance(np.zeros(3))
+    cov = border_covariance(np.zeros(3))
     graph.nodes[30] = graph.nodes[30]._replace(border="slip", step=np.array([9.0, 9.0, 1.0]), cov=cov)
     for a, b in LOOPS:
         graph.tie(a, b, match(a, b, se2.between(true[a], true[b])))
@@ -330,7 +330,7 @@ def carried_lap(by):
     graph, true = graph_with()
     true[30:] = se2.compose(se2.compose(true[30], np.array(by)), se2.between(true[30], true[30:]))
     for k, why in ((30, "refused"), (32, "slip")):
-        cov = graph.segments.covariance(graph.nodes[k].step, why)
+        cov = border_covariance(graph.nodes[k].step, why)
         graph.nodes[k] = graph.nodes[k]._replace(border=why, cov=cov)
     for a, b in LOOPS:
         graph.tie(a, b, match(a, b, se2.between(true[a], true[b])))

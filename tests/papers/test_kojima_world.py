@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.papers.kojima.experiments import UNEQUAL_LARGEST, UNEQUAL_SMALLEST, UnequalConfig, draw_unequal
+from mapweave.papers.kojima.experiments import UNEQUAL_LARGEST, UNEQUAL_SMALLEST, draw_unequal
 from mapweave.papers.kojima.world import KOJIMA_ARENA, KOJIMA_RADIUS, SEEN, KojimaConfig, draw_worlds, run_filters
 
 
@@ -48,8 +48,7 @@ def test_local_maps_are_consistent_when_the_filter_is_told_the_truth_about_its_n
 
 
 def test_unequal_maps_err_as_their_covariances_say():
-    cfg = UnequalConfig()
-    worlds = draw_unequal(cfg, 500, np.random.default_rng(5))
+    worlds = draw_unequal(500, np.random.default_rng(5))
     assert worlds.landmarks.shape == (500, 14, 2)
     assert np.intersect1d(*worlds.index).tolist() == list(range(6))
     own = se2.act(se2.inverse(worlds.frame)[:, None], worlds.landmarks[:, worlds.index[1]])

@@ -15,7 +15,6 @@ from mapweave.papers.hara.experiments import (
     SPARSE_EVERY,
     SPARSE_LENGTH,
     STRETCH,
-    HardConfig,
     along_error,
     estimate_alpha,
     simulate_hard,
@@ -98,7 +97,7 @@ def test_where_matching_fails_the_gate_carries_the_map_and_refuses_rightly():
 
 
 def test_the_hard_ring_has_glass_sparse_stretches_and_turns_without_scans():
-    cfg = HardConfig(corridor=CorridorConfig(long_leg=12.0, short_leg=8.0, distance=45.0, recess=0.0, corner=0.3))
+    cfg = CorridorConfig(long_leg=12.0, short_leg=8.0, distance=45.0, recess=0.0, corner=0.3)
     hard, again = (simulate_hard(cfg, 5) for _ in range(2))
     scans = hard.sim.log.scans
     assert np.array_equal(scans[7].ranges, again.sim.log.scans[7].ranges)

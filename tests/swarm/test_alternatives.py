@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from mapweave.core.gaussian import chi2_quantile
+from mapweave.swarm import alternatives
 from mapweave.swarm.alternatives import _Dense, _outside, doubts, hypotheses_near
 from mapweave.swarm.batch import batch
-from mapweave.swarm.config import ALTERNATIVES_DOUBT, AlternativesConfig, SwarmConfig
+from mapweave.swarm.config import ALTERNATIVES_DOUBT, SwarmConfig
 from mapweave.swarm.locate import locate
 
 from .swarms import PAPER, complete, simulated, small
 
 ROBUST = SwarmConfig(method="robust")
-CFG = AlternativesConfig()
 
 
 def none_wrong(net):
@@ -24,7 +24,7 @@ def none_wrong(net):
 def test_the_first_hypothesis_is_the_answer_itself_with_its_covariance():
     net = complete(PAPER, 1.0, np.random.default_rng(0), anchors=(0, 1))
     found = batch(net, SwarmConfig())
-    hypotheses = hypotheses_near(_Dense.of(net, found), none_wrong(net), CFG)
+    hypotheses = hypotheses_near(_Dense.of(net, found), none_wrong(net))
     assert not hypotheses.wrong[0].any()
     np.testing.assert_allclose(hypotheses.x[0].reshape(5, 2), found.position, atol=1e-4)
     cov = hypotheses.cov[0].reshape(5, 2, 5, 2)
@@ -65,10 +65,10 @@ def test_a_robot_that_two_sightings_place_is_doubted_and_one_that_many_place_is_
     sees = (net.observer == 5) | (net.target == 5)
     twice = sees & (net.observer == 5) & (net.target < 2)
     lone = net.select(~sees | twice)
-    outside = doubts(lone, ~none_wrong(lone), batch(lone, SwarmConfig()), CFG)
+    outside = doubts(lone, ~none_wrong(lone), batch(lone, SwarmConfig()))
     assert outside[5] > ALTERNATIVES_DOUBT
     assert outside[:5].max() < ALTERNATIVES_DOUBT
-    assert doubts(net, ~none_wrong(net), batch(net, SwarmConfig()), CFG).max() < ALTERNATIVES_DOUBT
+    assert doubts(net, ~none_wrong(net), batch(net, SwarmConfig())).max() < ALTERNATIVES_DOUBT
 
 
 def test_a_wrong_sighting_kept_in_place_of_a_right_one_is_found_by_swapping_them():
@@ -80,9 +80,9 @@ def test_a_wrong_sighting_kept_in_place_of_a_right_one_is_found_by_swapping_them
     called = none_wrong(net)
     called[7] = True  # a right one
     found = batch(net.select(~called), SwarmConfig())
-    hypotheses = hypotheses_near(_Dense.of(net, found), called, CFG)
+    hypotheses = hypotheses_near(_Dense.of(net, found), called)
     assert np.flatnonzero(hypotheses.wrong[np.argmax(hypotheses.evidence)]).tolist() == [bad]
-    assert doubts(net, ~called, found, CFG).max() > 0.9
+    assert doubts(net, ~called, found).max() > 0.9
 
 
 def test_the_probability_outside_a_gate_is_that_of_a_normal_variable_along_its_worst_direction():
@@ -96,18 +96,19 @@ def test_the_probability_outside_a_gate_is_that_of_a_normal_variable_along_its_w
 
 
 @pytest.mark.parametrize("scene", [{"dim": 3}, {"axis": False, "visibility": "mutual"}])
-def test_nothing_is_doubted_of_well_seen_robots_in_space_or_without_an_axis(scene):
+def test_nothing_is_doubted_of_well_seen_robots_in_space_or_without_an_axis(monkeypatch, scene):
     net, _ = simulated(0, robots=8, sigma=0.5, **{"visibility": "mutual", **scene})
     found = batch(net, SwarmConfig())
-    assert doubts(net, ~none_wrong(net), found, replace(CFG, rounds=1)).max() < ALTERNATIVES_DOUBT
+    monkeypatch.setattr(alternatives, "ALTERNATIVE_ROUNDS", 1)
+    assert doubts(net, ~none_wrong(net), found).max() < ALTERNATIVES_DOUBT
 
 
 def test_without_anchors_the_shape_is_judged():
     net = complete(PAPER, 0.5, np.random.default_rng(5))
     found = batch(net, SwarmConfig())
-    assert doubts(net, ~none_wrong(net), found, CFG).max() < ALTERNATIVES_DOUBT
+    assert doubts(net, ~none_wrong(net), found).max() < ALTERNATIVES_DOUBT
     large, _ = simulated(0, robots=64)
-    assert not doubts(large, ~none_wrong(large), batch(large, SwarmConfig()), CFG).any()
+    assert not doubts(large, ~none_wrong(large), batch(large, SwarmConfig())).any()
 
 
 @pytest.mark.slow

@@ -3,7 +3,7 @@
 import numpy as np
 
 from mapweave.core.gaussian import chi2_quantile
-from mapweave.swarm.config import VerdictConfig
+from mapweave.swarm import posterior
 from mapweave.swarm.posterior import (
     barely_determined,
     chi2_warnings,
@@ -47,10 +47,11 @@ def test_more_than_a_quarter_called_wrong_proves_nothing_whoever_saw_whom():
     assert not share_warnings(np.zeros(0, dtype=bool))
 
 
-def test_some_called_wrong_prove_nothing_only_where_robots_are_seen_from_one_end():
+def test_some_called_wrong_prove_nothing_only_where_robots_are_seen_from_one_end(monkeypatch):
     assert not trust_warnings(MUTUAL, called(MUTUAL, 2))
     assert "not sighted from both ends" in trust_warnings(SINGLE, called(SINGLE, 1))[0]
-    assert not trust_warnings(SINGLE, called(SINGLE, 1), VerdictConfig(many=0.1))
+    monkeypatch.setattr(posterior, "VERDICT_MANY", 0.1)
+    assert not trust_warnings(SINGLE, called(SINGLE, 1))
 
 
 def test_robots_that_may_be_elsewhere_are_named_the_likeliest_first_and_no_others():

@@ -10,7 +10,7 @@ from mapweave.core.landmark_log import LandmarkLog
 from mapweave.evaluation.team import score_team
 from mapweave.team import smooth as smoothing
 from mapweave.team.clocks import clocks_of, of_another_time
-from mapweave.team.config import SmoothingConfig
+from mapweave.team.config import CLUSTER, SmoothingConfig
 from mapweave.team.problem import team_problem
 from mapweave.team.smooth import smooth, smooth_on_one_clock
 
@@ -144,10 +144,10 @@ def test_what_a_clock_seems_off_is_what_minimising_over_it_gives():
     def minimum(moved: float) -> float:
         there = off(w, {"robot2": -moved})
         team = team_problem(there.logs, there.map.landmarks, there.map.tracks, w.fusion.labels, {}, CFG)
-        return team.solve(CFG).cost
+        return team.solve().cost
 
     team = team_problem(w.logs, w.map.landmarks, w.map.tracks, w.fusion.labels, {}, CFG)
-    seems = clocks_of(team, team.solve(CFG), 10.0, CFG.cluster, ["robot2"])["robot2"].ahead
+    seems = clocks_of(team, team.solve(), 10.0, CLUSTER, ["robot2"])["robot2"].ahead
     tried = np.linspace(-0.6, 0.6, 5)
     bend, slope, _ = np.polyfit(tried, [minimum(t) for t in tried], 2)
     assert bend > 0

@@ -5,7 +5,7 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.core.records import Odometry
-from mapweave.team.commanded_motion import CommandedMotion, random_walk
+from mapweave.team.commanded_motion import MOTION_LOST_XY, MOTION_REST_XY, CommandedMotion, random_walk
 from mapweave.team.config import MotionNoise
 
 
@@ -52,11 +52,11 @@ def test_commands_stop_counting_when_none_come_and_the_noise_grows_instead():
     np.testing.assert_allclose(pose[:, 0], 2.0)
     cfg = MotionNoise()
     known, lost = motion.noise(np.array([0.0, 2.0, 19.0]), 0.0, cfg)
-    assert lost[0, 0] == pytest.approx(cfg.rest_xy**2 * 17 + cfg.lost_xy**2 * 17)
-    assert known[0, 0] == pytest.approx(cfg.along**2 * 2 + cfg.rest_xy**2 * 2)
+    assert lost[0, 0] == pytest.approx(MOTION_REST_XY**2 * 17 + MOTION_LOST_XY**2 * 17)
+    assert known[0, 0] == pytest.approx(cfg.along**2 * 2 + MOTION_REST_XY**2 * 2)
 
 
 def test_every_covariance_of_a_step_is_positive_definite(motion):
     t = np.linspace(motion.t[0] - 1.0, motion.t[-1] + 5.0, 40)
-    for Q in (motion.noise(t, 0.15, MotionNoise()), random_walk(t, MotionNoise())):
+    for Q in (motion.noise(t, 0.15, MotionNoise()), random_walk(t)):
         assert np.linalg.eigvalsh(Q).min() > 0

@@ -17,7 +17,7 @@ from mapweave.landmarks.mapping import local_map
 from mapweave.sim import landmarks as simulator
 from mapweave.sim import mixed_team as mixed_simulator
 from mapweave.team.config import SmoothingConfig
-from mapweave.team.kidnapped import KidnapConfig, cut_kidnapped
+from mapweave.team.kidnapped import cut_kidnapped
 from mapweave.team.relative_frame import PlacingConfig
 
 WORLD = {"landmarks": 15, "minutes": 5}
@@ -43,7 +43,7 @@ def carry(monkeypatch):
 
 def cut_of(logs) -> tuple[LandmarkLog, ...]:
     local = [local_map(log) for log in logs]
-    done = cut_kidnapped(logs, local, fuse(local), SmoothingConfig(), PlacingConfig(), KidnapConfig(), local_map, fuse)
+    done = cut_kidnapped(logs, local, fuse(local), SmoothingConfig(), PlacingConfig(), local_map, fuse)
     return done.logs
 
 

@@ -9,7 +9,8 @@ from mapweave.core import se2
 from mapweave.core.landmark_log import NOTHING_SEEN, LandmarkLog
 from mapweave.mapping.config import LaserConfig
 from mapweave.solve import Factor
-from mapweave.team.config import CameraNoise, SmoothingConfig
+from mapweave.team import smooth as smoothing
+from mapweave.team.config import SmoothingConfig
 from mapweave.team.factors import InterRobotEdge
 from mapweave.team.mixed import regained
 from mapweave.team.problem import team_problem
@@ -122,17 +123,18 @@ def test_robots_with_lasers_and_cameras_are_tied_by_walls_too():
     assert 0.25 < w.score(made).landmarks.nees_per_dof < 1.6
 
 
-def test_ranges_are_believed_less_beside_lasers_and_nowhere_else():
+def test_ranges_are_believed_less_beside_lasers_and_nowhere_else(monkeypatch):
     w = mixed(31, lasers=2, cameras=0, bearings=0, minutes=2.0, everything=True)
-    as_usual, believed = (w.map(smoothing=beside(by)).components[0].map.landmarks for by in (2.0, 1.0))
-    assert np.trace(believed.cov) < 0.8 * np.trace(as_usual.cov)
     seen = [replace(log, odometry=None) for log in w.logs]
-    usual, same = (w.map(logs=seen, scanned={}, smoothing=beside(by)).components[0].map for by in (2.0, 1.0))
-    assert np.array_equal(usual.landmarks.mean, same.landmarks.mean)
 
+    def mapped(by, **given):
+        monkeypatch.setattr(smoothing, "RANGE_BESIDE_LASER", by)
+        return w.map(**given).components[0].map.landmarks
 
-def beside(by):
-    return SmoothingConfig(camera=CameraNoise(range_beside_laser=by))
+    as_usual, believed = mapped(2.0), mapped(1.0)
+    assert np.trace(believed.cov) < 0.8 * np.trace(as_usual.cov)
+    usual, same = (mapped(by, logs=seen, scanned={}) for by in (2.0, 1.0))
+    assert np.array_equal(usual.mean, same.mean)
 
 
 def true_relation(w):

@@ -84,7 +84,7 @@ def test_a_robots_scans_hold_its_keyframes_as_its_graph_has_them_and_one_keyfram
     part = team.parts[1]
     assert not set(range(part.start, part.start + 3)) & set(team.problem.free.tolist())
     x[part.start + 3 : part.start + 3 * n] += 0.05
-    solution = team.solve(CFG, x)
+    solution = team.solve(x)
     np.testing.assert_allclose(poses(team, 1, solution.x), graph.pose, atol=1e-3)
     P = [solution.covariance(part.start + 3 * k + np.arange(3)) for k in range(n)]
     want = np.zeros((3, 3))
@@ -102,7 +102,7 @@ def test_a_robot_of_one_keyframe_lies_where_another_saw_it():
     x = team.problem.x0.copy()
     at = team.parts[1].start + np.arange(2)
     x[at] += 0.3
-    np.testing.assert_allclose(team.solve(CFG, x).x[at], team.problem.x0[at], atol=1e-3)
+    np.testing.assert_allclose(team.solve(x).x[at], team.problem.x0[at], atol=1e-3)
 
 
 @pytest.mark.parametrize("n", [1, 4])
@@ -124,7 +124,7 @@ def test_matched_keyframes_hold_two_robots_as_they_were_measured():
     crossings.append(InterRobotEdge("robot2", "stranger", 0, 0, z, np.eye(3)))  # who is not of the team counts nothing
     team, (one, two) = made(3, crossings, lasers=2)
     assert team.used == {"landmark": 15, "scan": 2 + 2, "crossing": 1}
-    solution = team.solve(CFG)
+    solution = team.solve()
     x, n = solution.x, len(solution.x)
     np.testing.assert_allclose(se2.between(poses(team, 1, x)[2], poses(team, 2, x)[1]), z, atol=1e-3)
     np.testing.assert_allclose(

@@ -7,12 +7,13 @@ import pytest
 
 from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.solve import Cauchy
+from mapweave.team import smooth as smoothing
 from mapweave.team.config import SmoothingConfig
 from mapweave.team.covariance import _with_size
 from mapweave.team.known import PlacePriors
 from mapweave.team.problem import WIDER, team_problem, with_fewer_poses
 from mapweave.team.robot_part import PARAMETERS, count_instants
-from mapweave.team.smooth import _beside_laser, _enlarged, smooth
+from mapweave.team.smooth import RANGE_BESIDE_LASER, _beside_laser, _enlarged, smooth
 from mapweave.team.team_map import TeamMap
 
 from .test_team_algebra import FIELDS, logs_and_map
@@ -123,12 +124,12 @@ def test_an_enlarged_team_has_all_lengths_multiplied_and_every_angle_as_it_was(m
         np.testing.assert_allclose(larger.tracks[robot].cov, L @ cov @ L * np.ones((len(t.t), 1, 1)))
 
 
-def test_a_team_of_cameras_alone_is_as_large_as_ranges_that_fall_short_say():
+def test_a_team_of_cameras_alone_is_as_large_as_ranges_that_fall_short_say(monkeypatch):
     logs, landmarks, tracks = logs_and_map(noise=0.2)
     blind = [replace(log, odometry=None) for log in logs]
     team = TeamMap(("robot1", "robot2"), landmarks, tracks)
-    cfg = replace(CFG, calibration=replace(CFG.calibration, bare_range_scale=0.8))
-    made = smooth(team, blind, {}, cfg)
+    monkeypatch.setattr(smoothing, "BARE_RANGE_SCALE", 0.8)
+    made = smooth(team, blind, {}, CFG)
     assert not made.refused
     assert spread(made.map.landmarks.mean) == pytest.approx(spread(landmarks.mean) / 0.8, rel=1e-3)
     assert made.prior["range_scale"][0] == 0.8
@@ -137,9 +138,9 @@ def test_a_team_of_cameras_alone_is_as_large_as_ranges_that_fall_short_say():
         "turn_scale",
         "lag",
     }
-    wheels = smooth(team, logs, {}, cfg)
+    wheels = smooth(team, logs, {}, CFG)
     assert spread(wheels.map.landmarks.mean) == pytest.approx(spread(landmarks.mean), rel=0.05)
-    assert wheels.poses == sum(count_instants(log, np.zeros(0), cfg) for log in logs)
+    assert wheels.poses == sum(count_instants(log, np.zeros(0), CFG) for log in logs)
     assert set(wheels.calibration["robot1"]) == set(PARAMETERS)
 
 
@@ -163,7 +164,7 @@ def test_a_map_that_cannot_be_smoothed_stays_and_says_why(made):
 
 
 def test_beside_a_laser_ranges_are_believed_so_many_times_less():
-    by = CFG.camera.range_beside_laser
+    by = RANGE_BESIDE_LASER
     wide = _beside_laser(CFG.camera)
     assert wide.range_floor == by * CFG.camera.range_floor
     assert wide.range_share == by * CFG.camera.range_share

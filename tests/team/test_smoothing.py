@@ -9,10 +9,11 @@ from mapweave.core import se2
 from mapweave.core.landmark_log import NOTHING_SEEN
 from mapweave.evaluation.team import score_team
 from mapweave.solve import Factor
+from mapweave.team import smooth as smoothing
 from mapweave.team.config import CalibrationPrior, SmoothingConfig
 from mapweave.team.problem import team_problem
 from mapweave.team.robot_part import PARAMETERS
-from mapweave.team.smooth import smooth
+from mapweave.team.smooth import BARE_RANGE_SCALE, smooth
 
 from .teams import world
 
@@ -162,7 +163,7 @@ def test_a_smaller_map_is_no_likelier_one():
     shrunk = smoothed(w, loose, calibration=small).map.landmarks.mean
     assert np.linalg.norm(shrunk - shrunk.mean(axis=0)) / size == pytest.approx(1 / 1.3, abs=0.03)
     costs = [
-        team_problem(w.logs, w.map.landmarks, w.map.tracks, {}, known, loose).solve(loose).cost for known in ({}, small)
+        team_problem(w.logs, w.map.landmarks, w.map.tracks, {}, known, loose).solve().cost for known in ({}, small)
     ]
     assert costs[1] == pytest.approx(costs[0], rel=0.02)
 
@@ -171,7 +172,7 @@ def test_without_any_wheels_the_map_has_the_size_that_ranges_tell():
     w = world(3)
     blind = [replace(log, odometry=None) for log in w.logs]
     result = smoothed(w, logs=blind)
-    bare = CFG.calibration.bare_range_scale
+    bare = BARE_RANGE_SCALE
     before, after = (m.mean - m.mean.mean(axis=0) for m in (w.map.landmarks, result.map.landmarks))
     assert np.linalg.norm(after) == pytest.approx(np.linalg.norm(before) / bare, rel=1e-3)
     size = after.ravel() / np.linalg.norm(after)
@@ -190,12 +191,13 @@ def test_nothing_seen_leaves_the_filters_map_and_says_so():
     assert result.refused
 
 
-def test_a_team_whose_size_ranges_alone_tell_is_enlarged_by_what_they_fall_short():
+def test_a_team_whose_size_ranges_alone_tell_is_enlarged_by_what_they_fall_short(monkeypatch):
     w = world(4, minutes=1.0)
     logs = [replace(log, odometry=None) for log in w.logs]
     spread = []
     for bare in (1.0, 0.99):
-        done = smoothed(w, replace(CFG, calibration=CalibrationPrior(bare_range_scale=bare)), logs)
+        monkeypatch.setattr(smoothing, "BARE_RANGE_SCALE", bare)
+        done = smoothed(w, logs=logs)
         assert not done.refused
         mean = done.map.landmarks.mean
         spread.append(float(np.sqrt(np.square(mean - mean.mean(axis=0)).sum())))

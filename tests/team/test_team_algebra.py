@@ -10,8 +10,10 @@ from mapweave.core.landmark_log import LandmarkLog, SightingTable
 from mapweave.core.records import Odometry, Track
 from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.solve import SolveStatus
-from mapweave.team.commanded_motion import CommandedMotion, random_walk
+from mapweave.team import commanded_motion
+from mapweave.team.commanded_motion import MOTION_REST_THETA, MOTION_REST_XY, CommandedMotion, random_walk
 from mapweave.team.config import (
+    CLUSTER,
     FEW_RAISED,
     HEADING_FLOOR,
     MOST_CORRECTED,
@@ -79,7 +81,7 @@ def logs_and_map(noise=1.0, odometry=True):
 def solved():
     logs, landmarks, tracks = logs_and_map()
     team = team_problem(logs, landmarks, tracks, {}, {}, CFG)
-    return team, team.solve(CFG)
+    return team, team.solve()
 
 
 def dense_information(team, x, free, length=None):
@@ -124,7 +126,7 @@ def test_model_covariances_of_poses_are_those_of_the_dense_inverse_in_the_frame_
     P[np.ix_(free, free)] = np.linalg.inv(dense_information(team, solution.x, free))
     T = frame_of_the_body(team, solution.x)
     P = T @ P @ T.T
-    got = np.concatenate(_Known.of(team, solution, Groups.of(team, CFG.cluster)).pose_blocks())
+    got = np.concatenate(_Known.of(team, solution, Groups.of(team, CLUSTER)).pose_blocks())
     for k in range(len(got)):
         at = 3 * k + np.arange(3)
         np.testing.assert_allclose(got[k], P[np.ix_(at, at)], rtol=1e-4, atol=1e-9)
@@ -164,7 +166,6 @@ def test_priors_pull_with_their_information(solved):
 def test_landmarks_have_the_sandwich_of_the_dense_inverse(solved):
     team, solution = solved
     x, free = solution.x, solution.free
-    cfg = replace(CFG, cluster=0.8)
     inverse = np.zeros((len(x), len(x)))
     inverse[np.ix_(free, free)] = np.linalg.inv(dense_information(team, x, free))
     scores, known = pulls(team, x, 0.8), _priors(team, x).toarray()
@@ -173,7 +174,7 @@ def test_landmarks_have_the_sandwich_of_the_dense_inverse(solved):
     middle = taken_out * scores.T @ scores + known.T @ known
     T = frame_of_the_body(team, x)
     wanted = T @ inverse @ middle @ inverse @ T.T
-    known = _Known.of(team, solution, Groups.of(team, cfg.cluster))
+    known = _Known.of(team, solution, Groups.of(team, 0.8))
     hubs = np.arange(team.landmark_start, len(x))
     moved = known.influence(hubs, MOST_CORRECTED)
     np.testing.assert_allclose(moved.T @ moved, wanted[np.ix_(hubs, hubs)], rtol=1e-3, atol=1e-9)
@@ -189,11 +190,11 @@ def scattered_by(team, x, free):
     value, vector = np.linalg.eigh(model)
     white = vector[:, 3:] / np.sqrt(value[3:])
     looked = (T[at].T @ white)[free]
-    found = pulls(team, x, CFG.cluster)[:, free] @ np.linalg.inv(H) @ looked
+    found = pulls(team, x, CLUSTER)[:, free] @ np.linalg.inv(H) @ looked
     known = _priors(team, x).toarray()[:, free] @ np.linalg.inv(H) @ looked
     shown = np.square(found).sum() / (white.shape[1] - np.square(known).sum())
     C = np.linalg.inv(H) @ looked
-    each = dense_information(team, x, free, CFG.cluster)
+    each = dense_information(team, x, free, CLUSTER)
     taken = sum(np.trace(C.T @ G @ np.linalg.inv(H) @ G @ C) for G in each) / sum(np.trace(C.T @ G @ C) for G in each)
     return shown, taken, model, known @ np.linalg.pinv(white)
 
@@ -202,7 +203,7 @@ def test_how_groups_scatter_and_what_residuals_lack_are_those_of_the_dense_inver
     team, solution = solved
     x, free = solution.x, solution.free
     shown, taken, model, _ = scattered_by(team, x, free)
-    groups = Groups.of(team, CFG.cluster)
+    groups = Groups.of(team, CLUSTER)
     known = _Known.of(team, solution, groups)
     white, looked = known.whitened(known.model())
     assert white.shape == (len(model), len(model) - 3)
@@ -216,19 +217,19 @@ def test_how_groups_scatter_and_what_residuals_lack_are_those_of_the_dense_inver
 def test_with_few_groups_landmarks_have_the_models_covariance_times_how_much_the_groups_scatter(noise):
     logs, landmarks, tracks = logs_and_map(noise)
     team = team_problem(logs, landmarks, tracks, {}, {}, CFG)
-    solution = team.solve(CFG)
+    solution = team.solve()
     shown, taken, model, known = scattered_by(team, solution.x, solution.free)
     by = (1.0 + FEW_RAISED) * (shown + taken * max(1.0, shown / (1.0 - taken)))
     priors = known.T @ known
-    few = team_covariance(team, solution, CFG, np.eye(10)).landmarks - POSITION_FLOOR**2 * np.eye(10)
+    few = team_covariance(team, solution, np.eye(10)).landmarks - POSITION_FLOOR**2 * np.eye(10)
     np.testing.assert_allclose(few, by * (model - priors) + priors, rtol=2e-3, atol=1e-8)
     assert noise > 1.0 or 0.0 < shown < 1.0  # the noise that is assumed is twice the usual scatter
 
 
 def test_a_robots_covariances_have_their_floor_and_the_larger_of_both_factors(solved):
     team, solution = solved
-    cov = team_covariance(team, solution, CFG, 0.01 * np.eye(10))
-    blocks = _Known.of(team, solution, Groups.of(team, CFG.cluster)).pose_blocks()
+    cov = team_covariance(team, solution, 0.01 * np.eye(10))
+    blocks = _Known.of(team, solution, Groups.of(team, CLUSTER)).pose_blocks()
     floor = np.diag([POSITION_FLOOR**2, POSITION_FLOOR**2, HEADING_FLOOR**2])
     shown, taken, *_ = scattered_by(team, solution.x, solution.free)
     by = (1.0 + FEW_RAISED) * (shown + taken * max(1.0, shown / (1.0 - taken)))
@@ -304,9 +305,16 @@ def test_of_a_robot_that_saw_no_landmark_the_others_sightings_of_it_are_asked():
     assert _correlation(alone, 1, alone.problem.x0, SMOOTHING_MEMORY) == 1.0
 
 
-def test_heading_that_wanders_moves_a_robot_aside_as_its_integral_does():
+def at_rest(monkeypatch, **kind):
+    """Robots wander by nothing but what is given, at rest or without commands."""
+    for name in ("REST_XY", "REST_THETA", "LOST_XY", "LOST_THETA"):
+        monkeypatch.setattr(commanded_motion, f"MOTION_{name}", kind.get(name.lower(), 0.0))
+
+
+def test_heading_that_wanders_moves_a_robot_aside_as_its_integral_does(monkeypatch):
     """Brownian heading over the way: aside L^3 / 3, with the heading L^2 / 2, each times the rate's square."""
-    quiet = MotionNoise(along=0, across=0, drift=0.2, turn=0, rest_xy=0, rest_theta=0, lost_xy=0, lost_theta=0)
+    at_rest(monkeypatch)
+    quiet = MotionNoise(along=0, across=0, drift=0.2, turn=0)
     motion = CommandedMotion.of(Odometry(np.arange(0.0, 4.0, 0.1), np.full(40, 0.5), np.zeros(40)), 2.0)
     (Q,) = motion.noise(np.array([0.5, 3.5]), 0.0, quiet)
     way = 1.5
@@ -314,10 +322,11 @@ def test_heading_that_wanders_moves_a_robot_aside_as_its_integral_does():
     np.testing.assert_allclose(Q, wanted, atol=1e-12)
 
 
-def test_each_kind_of_noise_grows_with_what_it_is_of():
+def test_each_kind_of_noise_grows_with_what_it_is_of(monkeypatch):
     t, n = np.arange(0.0, 4.0, 0.1), 40
     motion = CommandedMotion.of(Odometry(t, np.full(n, -0.5), np.full(n, 0.4)), 2.0)
-    zero = dict.fromkeys(("along", "across", "drift", "turn", "rest_xy", "rest_theta", "lost_xy", "lost_theta"), 0.0)
+    zero = dict.fromkeys(("along", "across", "drift", "turn"), 0.0)
+    at_rest(monkeypatch)
     stamps = np.array([0.6, 3.1])
     way, angle, dt = 1.25, 1.0, 2.5
 
@@ -327,10 +336,14 @@ def test_each_kind_of_noise_grows_with_what_it_is_of():
     np.testing.assert_allclose(diagonal(along=0.3), [0.09 * way, 0, 0])
     np.testing.assert_allclose(diagonal(across=0.3), [0, 0.09 * way, 0])
     np.testing.assert_allclose(diagonal(turn=0.3)[2], 0.09 * angle)
-    np.testing.assert_allclose(diagonal(rest_xy=0.3), [0.09 * dt, 0.09 * dt, 0])
-    np.testing.assert_allclose(diagonal(rest_theta=0.3)[2], 0.09 * dt)
-    assert not diagonal(lost_xy=0.3, lost_theta=0.3).any()
-    late = motion.noise(np.array([3.0, 8.0]), 0.0, MotionNoise(**(zero | {"lost_xy": 0.3, "lost_theta": 0.2})))[0]
+    at_rest(monkeypatch, rest_xy=0.3)
+    np.testing.assert_allclose(diagonal(), [0.09 * dt, 0.09 * dt, 0])
+    at_rest(monkeypatch, rest_theta=0.3)
+    np.testing.assert_allclose(diagonal()[2], 0.09 * dt)
+    at_rest(monkeypatch, lost_xy=0.3, lost_theta=0.3)
+    assert not diagonal().any()
+    at_rest(monkeypatch, lost_xy=0.3, lost_theta=0.2)
+    late = motion.noise(np.array([3.0, 8.0]), 0.0, MotionNoise(**zero))[0]
     lost = 5.0 - (3.9 + 2.0 - 3.0)  # the last command holds for 2 s
     np.testing.assert_allclose(
         np.diag(late), [0.09 * lost, 0.09 * lost + 0.04 * lost * (0.5 * 2.9) ** 2 / 3, 0.04 * lost]
@@ -338,11 +351,10 @@ def test_each_kind_of_noise_grows_with_what_it_is_of():
 
 
 def test_a_robot_whose_commands_nobody_knows_wanders_with_the_time():
-    cfg = MotionNoise()
-    Q = random_walk(np.array([0.0, 1.0, 4.0]), cfg)
+    Q = random_walk(np.array([0.0, 1.0, 4.0]))
     for k, dt in enumerate((1.0, 3.0)):
         speeds = np.array([UNKNOWN_SPEED, UNKNOWN_SLIP, UNKNOWN_SPIN])
-        rest = np.array([cfg.rest_xy, cfg.rest_xy, cfg.rest_theta])
+        rest = np.array([MOTION_REST_XY, MOTION_REST_XY, MOTION_REST_THETA])
         np.testing.assert_allclose(Q[k], np.diag((speeds * dt) ** 2 + rest**2 * dt))
 
 

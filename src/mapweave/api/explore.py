@@ -183,8 +183,7 @@ def kills_of(kill: Mapping[str, int], robots: int) -> dict[int, int]:
 
 LASER_POSITIVE = (
     *("robots.radius", "robots.speed", "robots.turn", "robots.period", "robots.scanner.beams", "robots.scanner.far"),
-    *("plan.resolution", "plan.max_steps", "plan.split", "plan.most_goals"),
-    *("map_resolution", "tolerance", "plan.follower.arc_sample"),
+    *("plan.resolution", "plan.max_steps", "map_resolution"),
 )
 COARSEST = 1.0  # [m], cells that could still show a door
 FARTHEST_BEAM = 1000.0  # [m]
@@ -287,7 +286,7 @@ def _end(until: str | int) -> str | int:
 NOISE = {"printed": 1.0, "calibrated": CALIBRATED}
 POSITIVE = (
     *("mission.cell", "mission.max_steps", "commands.speeds", "objective.apart_distance", "handover.by"),
-    *("coverage.radius", "loop.radius", "loop.rate", "loop.rate_alone", "joint.rate", "joint.rate_alone"),
+    *("loop.rate", "loop.rate_alone", "joint.rate", "joint.rate_alone"),
     *("joint.density", "joint.search.tries", "joint.search.coarse_cell", "walls.robot_radius", "walls.path_cell"),
     *("submap.period", "submap.reach", "submap.half_angle"),
     *("submap.range_sd", "submap.bearing_sd", "submap.gate"),

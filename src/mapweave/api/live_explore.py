@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import DataError, UsageError
-from ..exploration.laser.config import LaserExploreConfig
+from ..exploration.laser.config import LaserPlan
 from ..exploration.laser.mission import GOALS_SAME, LaserBelief, PlannerState
 from ..exploration.laser.planners import by_tours, choose_goals
 from ..live.messages import GoalMessage, Numbers, check_name, encode
@@ -31,7 +31,7 @@ class PartPlanner:
     robots: tuple[str, ...]
     memory: dict[str, Any] = field(default_factory=dict)
 
-    def goals(self, team: LiveTeam, robots: list[TeamRobot], step: int, cfg: LaserExploreConfig) -> dict[str, Numbers]:
+    def goals(self, team: LiveTeam, robots: list[TeamRobot], step: int, cfg: LaserPlan) -> dict[str, Numbers]:
         """Robot -> `T_map_robot` where it is to drive; none for those who may stand."""
         grid = team.grid(robots[0].part, LEVEL)
         if grid is None:
@@ -67,7 +67,7 @@ class Explorer:
     before it is another [m].
     """
 
-    cfg: LaserExploreConfig
+    cfg: LaserPlan
     goals: dict[str, tuple[int, Numbers, int]] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
     _parts: list[PartPlanner] = field(default_factory=list)
@@ -138,7 +138,7 @@ def live_explore(
     check_name(network.team, "--team")
     if not 0 < radius <= 2:
         raise UsageError(f"--radius: expected metres above 0, at most 2, found {radius}")
-    cfg = LaserExploreConfig(radius=radius)
+    cfg = LaserPlan(radius=radius)
     team, topics, explorer = LiveTeam(), Topics(network.team), Explorer(cfg)
     told: dict[str, int] = {}
     with session(told_on(network), lambda at: say(f"{name}: {LISTENING}{at}")) as opened:

@@ -404,7 +404,7 @@ class Moved(ResultBase):
 
     @property
     def reliable(self) -> bool:
-        """Whether the smoothing converged, and enough sightings agree with it as `[swarm.verdict]` asks."""
+        """Whether the smoothing converged, and enough sightings agree with it."""
         return self.track.converged and not self._doubts()
 
     def _doubts(self) -> list[str]:

@@ -15,7 +15,7 @@ from ..core.landmark_log import LandmarkLog
 from ..core.names import in_order, robot_key, robot_name
 from ..core.records import Track
 from ..core.workers import Progress, worker_pool
-from ..fusion.compared_logs import MirrorConfig, mirror_images, unmirrored, with_copies_marked
+from ..fusion.compared_logs import mirror_images, unmirrored, with_copies_marked
 from ..fusion.config import START_TOLERANCE, FuseConfig
 from ..fusion.join import fuse
 from ..fusion.online import OnlineFuser
@@ -32,7 +32,7 @@ from ..landmarks.mapping import Growth, grow, without_impossible
 from ..solve import SingularError
 from ..team.clocks import of_another_time, on_camera_clock
 from ..team.config import ONLINE_FAR, SMOOTHING_SOFTEN, OnlineConfig, SmoothingConfig
-from ..team.kidnapped import KidnapConfig, cut_kidnapped, with_stretches
+from ..team.kidnapped import cut_kidnapped, with_stretches
 from ..team.known import PlacePriors, framed
 from ..team.mixed import regained
 from ..team.online import OnlineMap, OnlineRun, OnlineStep, OnlineTeam
@@ -174,16 +174,20 @@ def closed(run: OnlineRun, start: TeamMap, done: Smoothed, seconds: float) -> On
 
 
 @config
-class LandmarkMapConfig:
-    """Settings of `map` for landmark logs: each field is the table of that name in the configuration file."""
+class CameraTeamConfig:
+    """Settings of `map` for robots with cameras: each field is the table of that name in the configuration file."""
 
     agreement: AgreementConfig = field(default_factory=AgreementConfig)
     ekf: EkfSlamConfig = field(default_factory=EkfSlamConfig)
-    mirrored: MirrorConfig = field(default_factory=MirrorConfig)
     fuse: FuseConfig = field(default_factory=FuseConfig)
-    kidnap: KidnapConfig = field(default_factory=KidnapConfig)
     placing: PlacingConfig = field(default_factory=PlacingConfig)
     smoothing: SmoothingConfig = field(default_factory=SmoothingConfig)
+
+
+@config
+class LandmarkMapConfig(CameraTeamConfig):
+    """Settings of `map` for landmark logs."""
+
     online: OnlineConfig = field(default_factory=OnlineConfig)
 
 
@@ -229,23 +233,18 @@ def _map_read(
 ) -> TeamResult:
     once = with_copies_marked(_shared(list(logs), options))
     on_time = [on_camera_clock(log) for log in once]
-    read = [
-        sifted(without_impossible(with_wheels_checked(log, cfg.ekf, cfg.agreement), cfg.ekf), cfg.ekf)
-        for log in on_time
-    ]
+    read = [sifted(without_impossible(with_wheels_checked(log, cfg.ekf, cfg.agreement)), cfg.ekf) for log in on_time]
     watch.lap("read")
     fused, looked = (None if s is None else times_of(read, s) for s in _every(cfg, options))
     times = sorted({*(fused or ()), *(looked or ())})
     grown = _local_maps(read, cfg, times, options)
-    mirrored = mirror_images([g.whole for g in grown], cfg.mirrored)
+    mirrored = mirror_images([g.whole for g in grown])
     if mirrored:
         read = [unmirrored(log) if log.robot in mirrored else log for log in read]
         again = iter(_local_maps([log for log in read if log.robot in mirrored], cfg, times, options))
         grown = [next(again) if log.robot in mirrored else g for log, g in zip(read, grown, strict=True)]
     builders, placing, local = _Builders(cfg), cfg.placing, [g.whole for g in grown]
-    cut = cut_kidnapped(
-        read, local, builders.join(local), cfg.smoothing, placing, cfg.kidnap, builders.mapper, builders.join
-    )
+    cut = cut_kidnapped(read, local, builders.join(local), cfg.smoothing, placing, builders.mapper, builders.join)
     watch.lap("estimate")
     local, fusion = list(cut.local), cut.fusion
     online: tuple[OnlineMap, ...] = ()
@@ -359,7 +358,7 @@ def _smoothed(
         notes = (
             *done.notes,
             *(back if k == 0 else ()),
-            *(() if places is None else places.contradicted(done.map, cfg.known)),
+            *(() if places is None else places.contradicted(done.map)),
         )
         if run is not None and k == 0:
             run = closed(run, start, done, perf_counter() - began)

@@ -18,7 +18,6 @@ from ..core.names import in_order, robot_key, robot_name
 from ..core.version import __version__
 from ..core.workers import worker_pool
 from ..fusion.compared_logs import with_copies_marked
-from ..fusion.config import FuseConfig
 from ..fusion.join import fuse
 from ..fusion.result import Fusion
 from ..io.directory import write_json
@@ -30,8 +29,7 @@ from ..io.mixed_logs import MixedLogs, is_mixed, read_mixed_landmarks, sorted_lo
 from ..io.points import read_points
 from ..io.ros_map import write_ros_map
 from ..io.team_map import told_gaps, write_calibration, write_landmark_arrays, write_landmarks, write_tracks
-from ..landmarks.agreement import AgreementConfig, sifted, with_wheels_checked
-from ..landmarks.config import EkfSlamConfig
+from ..landmarks.agreement import sifted, with_wheels_checked
 from ..landmarks.landmark_map import LocalMap
 from ..landmarks.mapping import local_map, without_impossible
 from ..laser.beam import beams
@@ -45,15 +43,14 @@ from ..report.result import ResultBase, Rows
 from ..report.score import headline_scores
 from ..report.style import Target
 from ..team.clocks import on_camera_clock
-from ..team.config import ANOTHER_TIME, SmoothingConfig
-from ..team.kidnapped import Cut, KidnapConfig, cut_kidnapped, with_stretches
+from ..team.config import ANOTHER_TIME
+from ..team.kidnapped import Cut, cut_kidnapped, with_stretches
 from ..team.known import PlacePriors
 from ..team.mixed import MixedMap, map_mixed, regained
-from ..team.relative_frame import PlacingConfig
 from ..team.team_map import TeamMap, at_every_stamp, in_first_frame
 from ..team.walls import Scanned
 from .evaluate import Evaluation, judged
-from .map_landmarks import known_calibration
+from .map_landmarks import CameraTeamConfig, known_calibration
 from .map_laser import first_part, source_of
 from .map_options import MapOptions
 from .team import Watch, team_maps
@@ -185,15 +182,9 @@ PLAIN = LaserConfig(feature="none")
 
 
 @config
-class MixedMapConfig:
-    """Settings of `map` for mixed teams: each field is the table of that name in the configuration file."""
+class MixedMapConfig(CameraTeamConfig):
+    """Settings of `map` for mixed teams."""
 
-    agreement: AgreementConfig = field(default_factory=AgreementConfig)
-    ekf: EkfSlamConfig = field(default_factory=EkfSlamConfig)
-    fuse: FuseConfig = field(default_factory=FuseConfig)
-    kidnap: KidnapConfig = field(default_factory=KidnapConfig)
-    smoothing: SmoothingConfig = field(default_factory=SmoothingConfig)
-    placing: PlacingConfig = field(default_factory=PlacingConfig)
     laser: LaserConfig = field(default_factory=lambda: PLAIN)
 
 
@@ -424,7 +415,7 @@ def _without(log: LandmarkLog, robots: Collection[str]) -> LandmarkLog:
 
 def without_contradicted(log: LandmarkLog, cfg: MixedMapConfig) -> LandmarkLog:
     """The log without rows that cannot be, or that its other rows contradict."""
-    return sifted(without_impossible(with_wheels_checked(log, cfg.ekf, cfg.agreement), cfg.ekf), cfg.ekf)
+    return sifted(without_impossible(with_wheels_checked(log, cfg.ekf, cfg.agreement)), cfg.ekf)
 
 
 def maps_landmarks(log: LandmarkLog) -> bool:
@@ -476,7 +467,7 @@ def _apart(read: Sequence[LandmarkLog], scans: Mapping[str, LaserLog], far: floa
 def _cut(logs: Sequence[LandmarkLog], local: Sequence[LocalMap], fusion: Fusion, cfg: MixedMapConfig, seed: int) -> Cut:
     """The team with the logs of kidnapped robots cut."""
     mapper, join = partial(local_map, cfg=cfg.ekf, seed=seed), partial(fuse, cfg=cfg.fuse)
-    return cut_kidnapped(logs, local, fusion, cfg.smoothing, cfg.placing, cfg.kidnap, mapper, join)
+    return cut_kidnapped(logs, local, fusion, cfg.smoothing, cfg.placing, mapper, join)
 
 
 def _filtered(seeing: Sequence[LandmarkLog], cfg: MixedMapConfig, options: MapOptions) -> tuple[list[LocalMap], Fusion]:

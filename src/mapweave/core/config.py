@@ -50,7 +50,8 @@ def build(cls: type[T], values: dict[str, Any], where: str = "configuration") ->
         return TypeAdapter(cls).validate_python(values)
     except ValidationError as error:
         told = [(_place(e["loc"]), e["type"], e["msg"]) for e in error.errors()]
-    fixed = [place for place, kind, _ in told if kind == UNKNOWN and _is_fixed(cls, place)]
+    moved = getattr(cls, "MOVED", {})
+    fixed = [place for place, kind, _ in told if kind == UNKNOWN and place not in moved and _is_fixed(cls, place)]
     problems = [_problem(cls, *one) for one in told if one[0] not in fixed]
     if fixed:
         problems.append(f"constants since 0.2, to be left out: {', '.join(dict.fromkeys(fixed))}")

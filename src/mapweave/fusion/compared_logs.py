@@ -15,13 +15,14 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from ..core.config import config
 from ..core.findings import Finding
 from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.names import in_order
 from ..core.records import Odometry
 from ..landmarks.landmark_map import LandmarkMap, LocalMap
 from .alignment import align_robust
+
+MIRROR_LANDMARKS = 6  # in common, from which two maps are compared
 
 MIRROR_AGREE = 0.7  # share of them that must agree mirrored,
 MIRROR_FEWER = 0.6  # and of those how many at most may as they are
@@ -32,20 +33,10 @@ COPIES_SHARE = 0.5  # of them that the other must hold too
 COPIES_VARIED = 0.5  # share of a log's pairs that must differ from each other: constant numbers prove nothing
 
 
-@config
-class MirrorConfig:
-    """When one of two maps is the mirror image of the other."""
-
-    landmarks: int = 6  # in common, from which two maps are compared
-
-
-MIRROR = MirrorConfig()
-
-
-def mirror_images(maps: Sequence[LocalMap], cfg: MirrorConfig = MIRROR) -> tuple[str, ...]:
+def mirror_images(maps: Sequence[LocalMap]) -> tuple[str, ...]:
     """Robots whose maps are mirror images of those of more others; none where as many stand against as many."""
     landmarks = [m.submap.landmarks for m in maps]
-    side = {(i, k): _side(landmarks[i], landmarks[k], cfg) for i in range(len(maps)) for k in range(i)}
+    side = {(i, k): _side(landmarks[i], landmarks[k]) for i in range(len(maps)) for k in range(i)}
     hand: dict[int, int] = {}
     out: list[str] = []
     for start in range(len(maps)):
@@ -80,10 +71,10 @@ def _other_side(seen: SightingTable) -> SightingTable:
     return replace(seen, bearing=-seen.bearing)
 
 
-def _side(a: LandmarkMap, b: LandmarkMap, cfg: MirrorConfig) -> int:
+def _side(a: LandmarkMap, b: LandmarkMap) -> int:
     there = set(b.ids)
     shared = [name for name in a.ids if name in there]
-    if len(shared) < cfg.landmarks:
+    if len(shared) < MIRROR_LANDMARKS:
         return 0
     p, q, gate = a.select(shared).mean, b.select(shared).mean, np.full(len(shared), MIRROR_GATE)
     fits = [int(align_robust(x, q, gate).inliers.sum()) for x in (p, p * np.array([1.0, -1.0]))]

@@ -6,6 +6,8 @@ from ..core.config import config
 from ..core.errors import ConfigError
 from .identities import IdentityConfig
 
+MISLABELLED = 0.05  # probability that one robot gives a landmark a wrong name
+
 VARIANCE_PRIOR = 4.0  # degrees of freedom with which a map's variance factor is held at 1
 FUSE_GATE = 0.35  # [m] from where the others put a landmark, below which it is never doubted
 GATE_SIGMAS = 5.0  # standard deviations, likewise
@@ -38,20 +40,12 @@ class FuseConfig:
     identities: Identities = "known"  # whether equal names mean one landmark, or places alone tell
     scale_sigma: float = 0.02  # standard deviation of a map's scale about 1, a priori
     floor: float = 0.01  # [m] independent error of every landmark of every map that no covariance knows of
-    odds_within: float = 0.1  # the same for maps of one recording, whose names have one meaning
-    distrust: float = 4.0  # factor on covariances while this is judged
-    mislabelled: float = 0.05  # probability that one robot gives a landmark a wrong name
     repeats: int = 1  # times each relative measurement is fed (the paper's habit); more than 1 is overconfident
     robot_sightings: bool = False  # sightings of robots tie the frames too; worse where tracks err, as on real logs
-    sighting_range: float = 0.3  # [m] standard deviation of a range to a robot there,
-    sighting_bearing: float = 0.1  # [rad] and of a bearing; tracks err more than cameras
     matching: IdentityConfig = IdentityConfig()
 
     def __post_init__(self) -> None:
-        for name in ("scale_sigma", "odds_within", "distrust"):
-            if getattr(self, name) <= 0:
-                raise ConfigError(f"{name}: expected a number above 0, found {getattr(self, name)}")
+        if self.scale_sigma <= 0:
+            raise ConfigError(f"scale_sigma: expected a number above 0, found {self.scale_sigma}")
         if self.floor < 0:
             raise ConfigError(f"floor: expected 0 or more, found {self.floor}")
-        if not 0 < self.mislabelled < 1:
-            raise ConfigError(f"mislabelled: expected a probability between 0 and 1, found {self.mislabelled}")

@@ -21,7 +21,19 @@ from ..core.rows import spread
 from ..landmarks.landmark_map import LandmarkMap
 from .alignment import RigidFit, align_robust, joint_fit, log_evidence, spread_area
 from .cluster import ENOUGH, Cluster
-from .config import FUSE_GATE, FUSE_ODDS, FUSE_REFUSE, FUSE_WEIGHED, GATE_SIGMAS, MISLABELLED_CHI2, FuseConfig
+from .config import (
+    FUSE_GATE,
+    FUSE_ODDS,
+    FUSE_REFUSE,
+    FUSE_WEIGHED,
+    GATE_SIGMAS,
+    MISLABELLED,
+    MISLABELLED_CHI2,
+    FuseConfig,
+)
+
+FUSE_ODDS_WITHIN = 0.1  # how much likelier than chance for maps of one recording, whose names have one meaning
+FUSE_DISTRUST = 4.0  # factor on covariances while it is judged whether two places are one
 
 
 @dataclass(frozen=True, slots=True)
@@ -319,7 +331,7 @@ def same_place(source: LandmarkMap, target: LandmarkMap, cfg: FuseConfig) -> Fra
     there = set(target.ids)
     shared = tuple(name for name in source.ids if name in there)
     weighed = tuple(shared[i] for i in spread(len(shared), FUSE_WEIGHED))
-    a, b = _distrusted(source.select(weighed), cfg), _distrusted(target.select(weighed), cfg)
+    a, b = _distrusted(source.select(weighed)), _distrusted(target.select(weighed))
     rough = align_robust(a.mean, b.mean, np.full(len(weighed), FUSE_GATE))
     apart = np.hypot(*(se2.act(rough.T_target_source, a.mean) - b.mean).T)
     far = [int(i) for i in np.argsort(-apart, kind="stable") if apart[i] > FUSE_GATE]
@@ -360,11 +372,11 @@ class PlaceTest:
     def needed(self, members: Sequence[int]) -> float:
         """The log-odds from which these maps are one place."""
         one = len({self.recordings[k] for k in members}) == 1
-        return float(np.log(self.cfg.odds_within if one else FUSE_ODDS))
+        return float(np.log(FUSE_ODDS_WITHIN if one else FUSE_ODDS))
 
 
-def _distrusted(m: LandmarkMap, cfg: FuseConfig) -> LandmarkMap:
-    return LandmarkMap(m.ids, m.mean, cfg.distrust * m.cov, m.frame)
+def _distrusted(m: LandmarkMap) -> LandmarkMap:
+    return LandmarkMap(m.ids, m.mean, FUSE_DISTRUST * m.cov, m.frame)
 
 
 def _log_odds(a: LandmarkMap, b: LandmarkMap, T: Float[np.ndarray, "3"], area: float, cfg: FuseConfig) -> float:
@@ -381,7 +393,7 @@ def _log_odds(a: LandmarkMap, b: LandmarkMap, T: Float[np.ndarray, "3"], area: f
         links = np.delete(links, int(np.argmax(fit.single)), axis=0)
         fit = joint_fit(a, b, links, fit.T, cfg.floor, cfg.scale_sigma)
     k = len(links)
-    names = k * np.log1p(-cfg.mislabelled) + (n - k) * np.log(cfg.mislabelled)
+    names = k * np.log1p(-MISLABELLED) + (n - k) * np.log(MISLABELLED)
     return log_evidence(a, b, links, fit, area, cfg.floor, cfg.scale_sigma) + float(names)
 
 

@@ -30,6 +30,9 @@ from .relative import FrameSightings, RelativeConfig, frame_sightings, fuse_rela
 from .renaming import Arranged, Renaming, arrange_renamed, rename_doubted, renamings
 from .result import APART, Component, Decision, Fusion
 
+SIGHTING_RANGE = 0.3  # [m] standard deviation of a range to a robot that ties frames
+SIGHTING_BEARING = 0.1  # [rad] and of a bearing: tracks err more than cameras
+
 
 def fuse(
     maps: Sequence[LocalMap], cfg: FuseConfig | None = None, recordings: Mapping[str, str] | None = None
@@ -74,7 +77,7 @@ def fuse(
     components = []
     for start in starts:
         own = [inflated(landmarks[k], [d for d in outliers if d.owner == k]) for k in start.members]
-        seen = _sightings([sound[k] for k in start.members], start.frames, cfg) if cfg.robot_sightings else []
+        seen = _sightings([sound[k] for k in start.members], start.frames) if cfg.robot_sightings else []
         joined = _join(own, start, cfg, seen) if len(own) > 1 else _alone(own[0])
         robots = tuple(names[k] for k in start.members)
         doubted = {names[k]: widened([d for d in outliers if d.owner == k]) for k in start.members}
@@ -98,10 +101,10 @@ def _relabel(labels: dict[str, dict[str, str]], m: LocalMap, corrected: dict[str
         labels[m.robot] = changed
 
 
-def _sightings(maps: Sequence[LocalMap], frames: Float[np.ndarray, "m 3"], cfg: FuseConfig) -> list[FrameSightings]:
+def _sightings(maps: Sequence[LocalMap], frames: Float[np.ndarray, "m 3"]) -> list[FrameSightings]:
     """What the robots of a cluster saw of each other, as `cfg` trusts it."""
     return frame_sightings(
-        maps, frames, range_sigma=cfg.sighting_range, bearing_sigma=cfg.sighting_bearing, every=SIGHTING_EVERY
+        maps, frames, range_sigma=SIGHTING_RANGE, bearing_sigma=SIGHTING_BEARING, every=SIGHTING_EVERY
     )
 
 

@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..core import se2
-from ..core.config import config
 from ..core.errors import EstimateError
 from ..core.findings import Finding
 from ..core.records import Track
@@ -195,7 +194,7 @@ ROUGH = SolveConfig(max_iterations=400)
 POLISH = SolveConfig(damping=0.0, max_iterations=8, step_tolerance=1e-12)
 
 
-@config
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RelativeConfig:
     """weights: how the noise of relative information is told from the local covariance.
 

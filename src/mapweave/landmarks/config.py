@@ -7,6 +7,13 @@ from ..core.config import config
 from ..core.errors import ConfigError
 from ..kernels.landmarks.ekf_state import Noise
 
+REST_XY = 1e-4  # [m / sqrt(s)] of wandering in place, always there
+REST_THETA = 1e-4  # [rad / sqrt(s)] of the heading
+
+PIECE_GAP = 5.0  # [s] without a sighting after which a new piece of map is begun
+TRACK_RANGE_INFLATION = 5.0  # of the variance of ranges where past poses are corrected by the finished map
+TRACK_BEARING_INFLATION = 3.0  # and of bearings
+
 LOST_XY = 0.06  # [m / sqrt(s)] while no command is known
 LOST_THETA = 0.3  # [rad / sqrt(s)] of heading, while no command is known
 SPEED_TIME = 30.0  # [s] a robot without commands keeps its speed
@@ -45,29 +52,19 @@ class EkfSlamConfig:
     noise_across: float = 0.02  # [m / sqrt(m)] sideways, over distance commanded
     noise_drift: float = 0.05  # [rad / sqrt(m)] heading over distance commanded
     noise_turn: float = 0.1  # [rad / sqrt(rad)] heading over angle commanded
-    rest_xy: float = 1e-4  # [m / sqrt(s)] always
-    rest_theta: float = 1e-4  # [rad / sqrt(s)] always
     hold: float = 2.0  # [s] a command holds without a new one
     # a robot without odometry: its speed and turn rate wander about zero
     speed: float = 0.08  # [m/s] standard deviation of its speed
-    piece_gap: float = 5.0  # [s] without a sighting after which a new piece of map is begun
-    piece_heading: float = 0.9  # [rad] standard deviation of the heading from which one is begun too
     # the camera
     range_floor: float = 0.05  # [m] standard deviation of a range at no distance
     range_share: float = 0.045  # of the predicted distance
     bearing: float = 0.014  # [rad] standard deviation of a bearing
     range_inflation: float = 30.0  # of the variance: errors of one landmark's range last for seconds
     bearing_inflation: float = 10.0  # of the variance of bearings, for the same reason
-    track_range_inflation: float = 5.0  # the same where past poses are corrected by the finished map
-    track_bearing_inflation: float = 3.0  # and of bearings, where past poses are corrected
     gate: float = 2.0  # normalised innovation from which a sighting counts less, never nothing
     far: float = 10.0  # normalised innovation from which it counts less by the square: a label misread
     agree: int = 3  # sightings of a new landmark that must agree on its place
     # rows beyond are broken and left out
-    most_speed: float = 1e3  # [m/s] beyond which a command is no command
-    most_turn: float = 1e3  # [rad/s] the same of turn rates
-    most_range: float = 1e5  # [m] beyond which a sighting is none
-    most_bearing: float = 1e3  # [rad] the same of bearings
     # calibration: prior mean and standard deviation
     speed_scale: float = 1.0  # true speed over commanded speed, prior mean
     speed_scale_sd: float = 0.0  # its standard deviation; 0: not estimated
@@ -103,7 +100,7 @@ def noise(cfg: EkfSlamConfig) -> Noise:
     known = cfg.odometry
     camera = (cfg.range_floor, cfg.range_share, cfg.bearing, cfg.range_inflation, cfg.bearing_inflation)
     return Noise(
-        cfg.noise_along, cfg.noise_across, cfg.noise_drift, cfg.noise_turn, cfg.rest_xy, cfg.rest_theta,
+        cfg.noise_along, cfg.noise_across, cfg.noise_drift, cfg.noise_turn, REST_XY, REST_THETA,
         LOST_XY if known else EKF_SLAM_WANDER, LOST_THETA if known else EKF_SLAM_WANDER,
         cfg.hold, 0.0 if known else cfg.speed, SPEED_TIME, EKF_SLAM_SPIN, SPIN_TIME,
         *camera, cfg.gate, cfg.far, cfg.agree,
@@ -112,4 +109,4 @@ def noise(cfg: EkfSlamConfig) -> Noise:
 
 def track_noise(cfg: EkfSlamConfig) -> Noise:
     """`noise` for correcting past poses."""
-    return noise(cfg)._replace(range_inflation=cfg.track_range_inflation, bearing_inflation=cfg.track_bearing_inflation)
+    return noise(cfg)._replace(range_inflation=TRACK_RANGE_INFLATION, bearing_inflation=TRACK_BEARING_INFLATION)

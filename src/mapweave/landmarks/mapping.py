@@ -16,6 +16,7 @@ from ..core.records import Odometry, Track
 from ..kernels.landmarks.ekf_state import HEAD, POSE, RANGE_SCALE
 from . import ekf_slam
 from .config import (
+    PIECE_GAP,
     PIECE_OLDER,
     RESTLESS_MOST,
     RESTLESS_SHARE,
@@ -27,6 +28,11 @@ from .config import (
 from .ekf_replay import ReplayedLog, replay
 from .landmark_map import LocalMap, RobotSightings
 from .without_odometry import Known, parts, replay_in_pieces
+
+MOST_SPEED = 1e3  # [m/s] beyond which a command is no command
+MOST_TURN = 1e3  # [rad/s] beyond which a command is no command
+MOST_RANGE = 1e5  # [m] beyond which a sighting is none
+MOST_BEARING = 1e3  # [rad] beyond which a sighting is none
 
 CALIBRATION = ("speed_scale", "turn_scale", "lag", "bearing_bias", "range_scale")
 
@@ -50,7 +56,7 @@ def map_of(
     pieces that were played before.
     """
     cfg = config_for(log, cfg)
-    log = without_impossible(log, cfg)
+    log = without_impossible(log)
     first = done = replay(log, cfg, times=times) if cfg.odometry else replay_in_pieces(log, cfg, known)
     dropped, findings, kept = dict(log.dropped), list(log.findings), log
     left_out: list[str] = []
@@ -82,13 +88,13 @@ def config_for(log: LandmarkLog, cfg: EkfSlamConfig) -> EkfSlamConfig:
     return replace(cfg, odometry=False) if log.odometry is None else cfg
 
 
-def without_impossible(log: LandmarkLog, cfg: EkfSlamConfig) -> LandmarkLog:
+def without_impossible(log: LandmarkLog) -> LandmarkLog:
     """The log without rows beyond what `cfg` lets a robot drive or see, which are counted and told."""
     seen, odometry = log.sightings, log.odometry
-    sane = (np.abs(seen.range) <= cfg.most_range) & (np.abs(seen.bearing) <= cfg.most_bearing)
+    sane = (np.abs(seen.range) <= MOST_RANGE) & (np.abs(seen.bearing) <= MOST_BEARING)
     dropped = {"sighting: impossible": int((~sane).sum())}
     if odometry is not None:
-        drives = (np.abs(odometry.v) <= cfg.most_speed) & (np.abs(odometry.w) <= cfg.most_turn)
+        drives = (np.abs(odometry.v) <= MOST_SPEED) & (np.abs(odometry.w) <= MOST_TURN)
         dropped["odometry: impossible"] = int((~drives).sum())
         odometry = Odometry(odometry.t[drives], odometry.v[drives], odometry.w[drives])
     dropped = {reason: n for reason, n in dropped.items() if n}
@@ -193,7 +199,7 @@ def grow(log: LandmarkLog, cfg: EkfSlamConfig, times: Sequence[float], *, tracks
     """
     whole, first = map_of(log, cfg, times)
     cfg = config_for(log, cfg)
-    log = without_impossible(log, cfg)
+    log = without_impossible(log)
     if cfg.odometry:
         return Growth(whole, tuple(times), tuple(_on_the_way(log, first, tracks=tracks)), first.filtered)
     return Growth(whole, tuple(times), tuple(_by_pieces(log, cfg, times)), first.filtered)
@@ -248,7 +254,7 @@ def _by_pieces(log: LandmarkLog, cfg: EkfSlamConfig, times: Sequence[float]) -> 
     last, rows, pieces = None, 0, 0
     for t in times:
         cut = log.until(t)
-        now = parts(cut.sightings, cfg.piece_gap)
+        now = parts(cut.sightings, PIECE_GAP)
         if now and (len(now) > pieces or len(now[-1]) >= (1 + PIECE_OLDER) * rows):
             m, _ = map_of(cut, cfg, known=known)
             last = m if len(m.submap.ids) else None

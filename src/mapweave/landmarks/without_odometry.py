@@ -16,6 +16,7 @@ from .config import (
     PIECE_BASELINE,
     PIECE_CHI2,
     PIECE_FLOOR,
+    PIECE_GAP,
     PIECE_MISFIT,
     PIECE_SIGHTINGS,
     EkfSlamConfig,
@@ -23,6 +24,8 @@ from .config import (
 from .ekf_replay import ReplayedLog, replay
 from .ekf_slam import is_landmark
 from .landmark_map import LandmarkMap, Submap
+
+PIECE_HEADING = 0.9  # [rad] standard deviation of the heading from which a new piece is begun too
 
 STEPS = 50  # at most
 STILL = 1e-9  # [m], [rad] in a step, from which nothing moves any more
@@ -199,7 +202,7 @@ def replay_in_pieces(log: LandmarkLog, cfg: EkfSlamConfig, known: Known | None =
 def _play_parts(log: LandmarkLog, cfg: EkfSlamConfig, known: Known) -> list[ReplayedLog]:
     """A filter's run for each part between long gaps; it ends early, and another begins, where the heading is lost."""
     played, filtered = [], replace(cfg, smooth=False)
-    waiting = parts(log.sightings, cfg.piece_gap)[::-1]
+    waiting = parts(log.sightings, PIECE_GAP)[::-1]
     while waiting:
         part = waiting.pop()
         key = (int(part[0]), int(part[-1]))
@@ -207,7 +210,7 @@ def _play_parts(log: LandmarkLog, cfg: EkfSlamConfig, known: Known) -> list[Repl
             ended, done = known[key]
         else:
             track = replay(replace(log, sightings=log.sightings.select(part)), filtered).track
-            lost = np.zeros(0) if track.cov is None else track.t[track.cov[:, 2, 2] > cfg.piece_heading**2]
+            lost = np.zeros(0) if track.cov is None else track.t[track.cov[:, 2, 2] > PIECE_HEADING**2]
             ended = np.ones(len(part), bool)
             if len(lost) and lost[0] > track.t[0]:
                 ended = log.sightings.t[part] < lost[0]

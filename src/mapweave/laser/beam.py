@@ -19,6 +19,9 @@ from ..core.gaussian import symmetrise
 from ..core.records import Scan, frozen
 from ..kernels.laser.beams import beam_lines
 
+LEAST_INTENSITY = 0.0  # returns at or under this bear no light
+CALIBRATION_ITERATIONS = 12  # of the robust fit, at most
+
 LINE_ANGLE = 0.1  # [rad] beams to each side this near may share a line (8 of a URG-04LX, 6 of a SICK)
 BEAM_NEAR = 0.08  # [m] at no range, and
 BEAM_NEAR_SHARE = 0.15  # [m/m]: neighbours differ in range by less than near + near_share r
@@ -101,7 +104,6 @@ FEATURES = ("normalised", "raw", "none")
 class BeamConfig:
     least_range: float = 0.02  # [m], nearer returns are the robot itself
     greatest_range: float = 25.0  # [m], farther returns are left out, whatever the sensor allows
-    least_intensity: float = 0.0  # returns at or under this bear no light
 
 
 class Beams(NamedTuple):
@@ -135,7 +137,7 @@ def beams(scan: Scan, feature: str, calibration: IntensityCalibration | None, cf
         hit = scan.hit & np.isfinite(r) & (r > cfg.least_range) & (r < min(scan.range_max, cfg.greatest_range))
     intensity = np.zeros(n) if scan.intensities is None else np.nan_to_num(scan.intensities, posinf=0.0, neginf=0.0)
     if feature == "raw":
-        hit = hit & (intensity > cfg.least_intensity)
+        hit = hit & (intensity > LEAST_INTENSITY)
     r = np.where(hit, r, 1.0)
     angle = scan.angle_min + scan.angle_increment * np.arange(n)
     x, y = r * np.cos(angle), r * np.sin(angle)
@@ -143,7 +145,7 @@ def beams(scan: Scan, feature: str, calibration: IntensityCalibration | None, cf
     normal, c, support = beam_lines(x, y, r, hit, half, BEAM_NEAR, BEAM_NEAR_SHARE)
     index = np.flatnonzero(hit)
     r, c, intensity = r[index], c[index], intensity[index]
-    q = _feature(intensity, r, c, feature, calibration, cfg)
+    q = _feature(intensity, r, c, feature, calibration)
     s = se2.act(scan.T_robot_sensor, np.column_stack([x[index], y[index]]))
     turned = normal[index] @ se2.rotation(float(scan.T_robot_sensor[2])).T
     w = insertion_weight(r)
@@ -161,24 +163,18 @@ def _feature(
     c: Float[np.ndarray, " n"],
     feature: str,
     calibration: IntensityCalibration | None,
-    cfg: BeamConfig,
 ) -> Float[np.ndarray, " n"]:
     if feature == "none" or calibration is None:
         return np.zeros(len(r))
     if feature == "raw":
         return np.minimum(GREATEST_Q, intensity / calibration.scale)
     q = np.minimum(GREATEST_Q, calibration.feature(intensity, r, np.maximum(c, BEAM_LEAST_COSINE)))
-    return np.where(measured(intensity, cfg), q, calibration.middle)
+    return np.where(measured(intensity), q, calibration.middle)
 
 
-def measured(intensity: Float[np.ndarray, " n"], cfg: BeamConfig) -> Bool[np.ndarray, " n"]:
+def measured(intensity: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Where light was measured at all."""
-    return np.asarray((intensity > cfg.least_intensity) & (intensity != NO_LIGHT))
-
-
-@config
-class CalibrationConfig:
-    iterations: int = 12  # of the robust fit, at most
+    return np.asarray((intensity > LEAST_INTENSITY) & (intensity != NO_LIGHT))
 
 
 FREE_KNOT = 0.1  # of log range between the knots of a law without a form,
@@ -211,30 +207,27 @@ class Calibrated(NamedTuple):
     halves: tuple[IntensityCalibration, IntensityCalibration]
 
 
-def calibrate(
-    scans: Sequence[Beams], poses: Float[np.ndarray, "m 3"], cfg: CalibrationConfig
-) -> IntensityCalibration | None:
+def calibrate(scans: Sequence[Beams], poses: Float[np.ndarray, "m 3"]) -> IntensityCalibration | None:
     """The calibration from scans and poses that are right over a window; None when places are not seen twice.
 
     `g` linear over range and `c^p` where they foretell returns of other windows as well as laws without a form do.
     """
-    made = calibrated(scans, poses, cfg)
+    made = calibrated(scans, poses)
     return None if made is None else made.whole
 
 
-def calibrated(scans: Sequence[Beams], poses: Float[np.ndarray, "m 3"], cfg: CalibrationConfig) -> Calibrated | None:
+def calibrated(scans: Sequence[Beams], poses: Float[np.ndarray, "m 3"]) -> Calibrated | None:
     """As `calibrate`, and calibrations of halves of the windows, those with even numbers first, or None."""
     seen = _samples(scans, poses)
     if len(seen.r) < LEAST_SAMPLES:
         return None
     halves = _halves(seen)
     if not min(len(half.r) for half in halves):
-        whole = _scaled(seen, _fitted(seen, cfg, free=False))
+        whole = _scaled(seen, _fitted(seen, free=False))
         return Calibrated(whole, (whole, whole))
-    quick = replace(cfg, iterations=HALF_ITERATIONS)
-    formed, free = ([_fitted(half, quick, free=free) for half in halves] for free in (False, True))
+    formed, free = ([_fitted(half, HALF_ITERATIONS, free=free) for half in halves] for free in (False, True))
     chosen = free if _held_out(halves, formed) > FORM_COSTS * _held_out(halves, free) else formed
-    whole = _scaled(seen, _fitted(seen, cfg, free=chosen is free))
+    whole = _scaled(seen, _fitted(seen, free=chosen is free))
     first, second = (_scaled(half, fit) for half, fit in zip(halves, chosen, strict=True))
     return Calibrated(whole, (first, second))
 
@@ -277,7 +270,7 @@ def _held_out(halves: tuple[Overlaps, Overlaps], fits: Sequence[LawFit]) -> floa
     return total / (len(halves[0].r) + len(halves[1].r))
 
 
-def _fitted(seen: Overlaps, cfg: CalibrationConfig, *, free: bool) -> LawFit:
+def _fitted(seen: Overlaps, iterations: int = CALIBRATION_ITERATIONS, *, free: bool) -> LawFit:
     """The law with scale 1, its gain 1 at 1 m and 1 straight ahead, and the size of the residual of every return."""
     y = np.log(seen.light)
     if free:
@@ -306,7 +299,7 @@ def _fitted(seen: Overlaps, cfg: CalibrationConfig, *, free: bool) -> LawFit:
     weight = np.ones(len(y))
     x, residual, Xc, A = np.zeros(n), y, X, ridge
     groups = int(seen.cell.max()) + 1
-    for _ in range(cfg.iterations):
+    for _ in range(iterations):
         Xc, yc = _centred(np.column_stack([X, y]), seen.cell, weight, groups)
         A = (Xc * weight[:, None]).T @ Xc
         x = np.linalg.solve(A + ridge, (Xc * weight[:, None]).T @ yc)

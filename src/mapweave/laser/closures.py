@@ -12,7 +12,13 @@ from ..core.gaussian import mahalanobis2, symmetrise
 from ..kernels.laser.local_map import count_matches
 from .beam import Beams
 from .keyframes import believed
-from .scan_matching import BARE_TANGENT, FRONT_END_COARSE, FrontEnd, FrontEndConfig
+from .scan_matching import BARE_TANGENT, FRONT_END_AGREE, FRONT_END_COARSE, FrontEnd, FrontEndConfig
+
+CLOSURE_LEAST_SHARE = 0.5  # share of the returns that must match
+CLOSURE_LEAST_MATCHES = 60  # returns that must match
+CLOSURE_SEARCH_XY = 3.0  # [m] that the grid of starts reaches at most, and
+CLOSURE_SEARCH_TURN = 0.3  # [rad] to either side
+CLOSURE_SEARCH_BEAMS = 90  # returns of the scan that take part in the search, about
 
 CLOSURE_LEAST_INFORMATION = 1.0  # [1/m^2] across the second weakest direction: less, and the place looks alike
 CLOSURE_GATE = 16.27  # chi-square of the innovation, 3 degrees of freedom, 99.9 %
@@ -32,18 +38,9 @@ class ClosureConfig:
     """When a keyframe is matched against an old place, and when the match is believed."""
 
     every: float = 1.0  # [m] between keyframes that are tried
-    tries: int = 2  # matches a robot and step, at most
+    tries: int = 2  # matches a robot and step, at most; 0: no loops are looked for
     reach: float = 5.0  # [m] between the keyframes
     far: float = 20.0  # [m] driven since the old keyframe, within one robot: nearer ones are in its local map
-    around: int = 5  # keyframes on either side of the old one that its local map is made of
-    within: float = 4.0  # [m] from it
-    least_share: float = 0.5  # share of the returns that must match
-    least_matches: int = 60  # returns that must match
-    search_xy: float = 3.0  # [m] that the grid of starts reaches at most, and
-    search_turn: float = 0.3  # [rad] to either side
-    search_beams: int = 90  # returns of the scan that take part in the search, about
-    kernel: float = 3.0  # [sd] width of the robust kernel
-    contradiction: float = 16.27  # squared residual [sd^2] after optimising beyond which a closure is dropped
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +98,7 @@ class PlaceMatcher:
         self, place: Place, b: Beams, predicted: Float[np.ndarray, "3"], cov: Float[np.ndarray, "3 3"]
     ) -> Matched:
         """Where the scan fits in the place. predicted: (3,) in the place's frame; cov: (3, 3) in the scan's frame."""
-        c, fe = self.cfg, self.front_end
+        fe = self.front_end
         fe.hold(place.scans)
         sd = np.sqrt(np.diag(cov))
         start = predicted if max(sd[0], sd[1]) < CLOSURE_SEARCH else self._search(b, predicted, sd)
@@ -109,7 +106,7 @@ class PlaceMatcher:
         innovation = se2.between(predicted, match.pose)
         share = match.matches / max(match.beams, 1)
         refused = Matched(False, "", match.pose, np.zeros((3, 3)), innovation, share, None)
-        if match.matches < c.least_matches or share < c.least_share:
+        if match.matches < CLOSURE_LEAST_MATCHES or share < CLOSURE_LEAST_SHARE:
             return refused._replace(reason=f"too few returns match: {match.matches} of {match.beams}")
         lines = believed(fe.information(b, match.pose), CLOSURE_TRUST, CLOSURE_BLUR)
         values, vectors = np.linalg.eigh(lines)
@@ -136,10 +133,10 @@ class PlaceMatcher:
 
     def _search(self, b: Beams, predicted: np.ndarray, sd: np.ndarray) -> np.ndarray:
         """The best of a grid of starts around the predicted pose, as far as the configuration says."""
-        c, fe = self.cfg, self.front_end
-        thin = slice(None, None, max(1, len(b.q) // c.search_beams))
+        _c, fe = self.cfg, self.front_end
+        thin = slice(None, None, max(1, len(b.q) // CLOSURE_SEARCH_BEAMS))
         s, normal, q = (np.ascontiguousarray(a[thin]) for a in (b.s, b.normal, b.q))
-        reach = np.minimum(CLOSURE_SEARCH_SD * sd, [c.search_xy, c.search_xy, c.search_turn])
+        reach = np.minimum(CLOSURE_SEARCH_SD * sd, [CLOSURE_SEARCH_XY, CLOSURE_SEARCH_XY, CLOSURE_SEARCH_TURN])
         each = zip(reach, CLOSURE_SEARCH_STEPS, strict=True)
         axes = [np.arange(-np.floor(r / h), np.floor(r / h) + 1) * h for r, h in each]
         best, most = predicted, -1
@@ -148,7 +145,7 @@ class PlaceMatcher:
                 for turn in axes[2]:
                     pose = se2.compose(predicted, np.array([dx, dy, turn]))
                     n = count_matches(
-                        fe.coarse, FRONT_END_COARSE, s, normal, q, 0.0, fe.cfg.agree, pose, CLOSURE_SEARCH_REACH
+                        fe.coarse, FRONT_END_COARSE, s, normal, q, 0.0, FRONT_END_AGREE, pose, CLOSURE_SEARCH_REACH
                     )
                     if n > most:
                         best, most = pose, n

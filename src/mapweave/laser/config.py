@@ -9,14 +9,14 @@ from jaxtyping import Float
 from ..core.config import config
 from ..core.errors import ConfigError
 from ..core.findings import Finding
-from .beam import FEATURES, STEERING, BeamConfig, CalibrationConfig, IntensityCalibration
+from .beam import FEATURES, STEERING, BeamConfig, IntensityCalibration
 from .icp import IcpConfig
-from .log_warnings import LagCheck
-from .motion_agreement import MotionCheck
 from .moving import MovingConfig
 from .odometry_calibration import OdometryCalibrationConfig
 from .particle_grid import CellConfig
 from .scan_matching import BARE_TANGENT, FrontEndConfig
+
+FILTER_LEAST_BEAMS = 10  # scans with fewer returns change no weights
 
 REFINE_NEFF = 60.0  # independent returns in a scan, for refining
 REFINE_SIGMA = 0.02  # [m] sd of each return, for refining
@@ -51,7 +51,6 @@ class FilterConfig:
     refine_tangent: float = 0.1  # weight of the error along the line, with a feature
     neff: float = 30.0  # independent returns in a scan, for weighing, with a feature and
     bare_neff: float = 10.0  # and without a feature
-    least_beams: int = 10  # scans with fewer returns change no weights
 
 
 @config
@@ -71,14 +70,11 @@ class LaserTrackingConfig:
     resolution: float = 0.1  # [m] cell of the map handed over
     beam: BeamConfig = BeamConfig()
     moving: MovingConfig = MovingConfig()
-    motion: MotionCheck = MotionCheck()
-    lag: LagCheck = LagCheck()
     odometry: OdometryCalibrationConfig = OdometryCalibrationConfig()
     cells: CellConfig = CellConfig()
     front_end: FrontEndConfig = FrontEndConfig()
     filter: FilterConfig = FilterConfig()
     icp: IcpConfig = IcpConfig()
-    calibration: CalibrationConfig = CalibrationConfig()
 
     def eps(self, sd: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
         """How far [m, m, rad] a match may deviate from an odometry increment allowed `sd`."""

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from ..core import se2
 from ..core.records import Event, Scan
 from .beam import Beams, IntensityCalibration, beams
-from .config import LaserTrackingConfig
+from .config import FILTER_LEAST_BEAMS, LaserTrackingConfig
 from .icp import match
 from .particle_grid import ParticleGrid
 from .particle_slam import as_points
@@ -59,7 +59,7 @@ def step(
     if not state.poses:
         return _accept(state, b, np.zeros(3)), ScanInfo(NO_INNOVATION, len(b.q), 0, "first")
     predicted = np.asarray(se2.compose(state.poses[-1], u))
-    if len(b.q) < cfg.filter.least_beams:
+    if len(b.q) < FILTER_LEAST_BEAMS:
         state.poses.append(predicted)
         return state, ScanInfo(NO_INNOVATION, len(b.q), 0, "empty")
     reach = float(b.r.max()) + 0.5

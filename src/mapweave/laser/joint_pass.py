@@ -21,6 +21,14 @@ from .beam import Beams
 from .pose_graph import PoseGraph, edge_factor
 from .robot_graph import RobotGraph
 
+JOINT_BEFORE = 4  # keyframes just before each that it is paired with, and
+JOINT_AROUND = 8  # of others, the nearest, so many
+JOINT_LEAST_MATCHES = 15  # returns of a pair within a width of their lines, and
+JOINT_LEAST_SHARE = 0.3  # share of all, or the pair counts nothing
+JOINT_SIGMA = 0.02  # [m] of a matched return
+JOINT_TEMPER = 0.1  # share of the returns that count as independent
+SCAN_WIDTHS = (0.06, 0.04)  # [m] of the robust cost, a round each, for laying each scan on the keyframes
+
 JOINT_PASS_BEAMS = 90  # returns of a keyframe that are matched, spread over it
 JOINT_PASS_SECTORS = 360  # parts of the circle a scan's returns are sorted into
 JOINT_PASS_REACH = 8.0  # [m] from each other at most,
@@ -43,16 +51,6 @@ class JointPassConfig:
     """The last pass: how keyframes are paired, matched and moved, and how each scan is laid on them."""
 
     widths: tuple[float, ...] = (0.15, 0.1, 0.06, 0.04)  # [m] of the robust cost, a round each
-    before: int = 4  # keyframes just before each that it is paired with, and
-    around: int = 8  # of others, the nearest, so many
-    least_matches: int = 15  # returns of a pair within a width of their lines, and
-    least_share: float = 0.3  # share of all, or the pair counts nothing
-    sigma: float = 0.02  # [m] of a matched return
-    temper: float = 0.1  # share of the returns that count as independent
-    step_trust: float = (
-        1.0  # what the information of the steps between neighbours counts, which hold where walls do not,
-    )
-    scan_widths: tuple[float, ...] = (0.06, 0.04)  # [m] as `widths`, for laying each scan on the keyframes
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +137,7 @@ def joint_pass(
     )
     weak = np.diag([JOINT_PASS_STEP_XY**-2, JOINT_PASS_STEP_XY**-2, JOINT_PASS_STEP_TURN**-2])
     sure = np.linalg.eigvalsh(steps.information[:, :2, :2])[:, 0] > UNSURE**-2  # over a border there is no such step
-    held = replace(steps, information=cfg.step_trust * steps.information + sure[:, None, None] * weak)
+    held = replace(steps, information=steps.information + sure[:, None, None] * weak)
     columns = np.arange(3)[None]
     unit, still = np.eye(3)[None], np.zeros((1, 3))
     anchor = Factor(columns, lambda _: still, lambda _: unit, 3, np.full((1, 3), 1.0 / HELD), None, "anchor")
@@ -149,7 +147,7 @@ def joint_pass(
     width, pairs, pattern = 0.0, np.zeros((0, 2), np.int64), None
     for now in cfg.widths:
         if now != width or pattern is None:
-            width, pairs = now, paired(pose, cfg, robot)
+            width, pairs = now, paired(pose, robot)
             a, b = np.ascontiguousarray(np.concatenate([pairs, pairs[:, ::-1]]).T)
             ends = np.concatenate([3 * a[:, None] + np.arange(3), 3 * b[:, None] + np.arange(3)], axis=1)
             shape = [
@@ -167,8 +165,8 @@ def joint_pass(
             width,
         )
         H, g = without_scatter(H, g, JOINT_PASS_BLUR)
-        counts = (near >= cfg.least_matches) & (near >= cfg.least_share * lined[b])
-        scale = counts * cfg.temper / cfg.sigma**2
+        counts = (near >= JOINT_LEAST_MATCHES) & (near >= JOINT_LEAST_SHARE * lined[b])
+        scale = counts * JOINT_TEMPER / JOINT_SIGMA**2
         A, B = se2.between_jacobians(pose[a], pose[b])
         J = np.concatenate([A, B], axis=2)
         blocks = (J.swapaxes(1, 2) @ H @ J) * scale[:, None, None]
@@ -199,16 +197,14 @@ def without_scatter(
     return T @ H @ T, (T @ g[..., None])[..., 0]
 
 
-def paired(
-    pose: Float[np.ndarray, "n 3"], cfg: JointPassConfig, robot: Int[np.ndarray, " n"] | None = None
-) -> Int[np.ndarray, "p 2"]:
+def paired(pose: Float[np.ndarray, "n 3"], robot: Int[np.ndarray, " n"] | None = None) -> Int[np.ndarray, "p 2"]:
     """Keyframes to be matched with each other, i < j, ascending: neighbours in the drive of one robot and in space."""
     n = len(pose)
     i = np.arange(n)
-    near = neighbours(pose, pose, cfg.around, own=i, apart=cfg.before)
+    near = neighbours(pose, pose, JOINT_AROUND, own=i, apart=JOINT_BEFORE)
     row, col = np.nonzero(near >= 0)
     space = np.column_stack([row, near[row, col]])
-    drive = [np.column_stack([i[k:] - k, i[k:]]) for k in range(1, cfg.before + 1)]
+    drive = [np.column_stack([i[k:] - k, i[k:]]) for k in range(1, JOINT_BEFORE + 1)]
     along = np.concatenate(drive) if drive else np.zeros((0, 2), np.int64)
     if robot is not None:
         along = along[robot[along[:, 0]] == robot[along[:, 1]]]
@@ -246,7 +242,6 @@ def lay_scans(
     keyframes: Float[np.ndarray, "n 3"],
     cloud: ScanCloud,
     own: Int[np.ndarray, " s"],
-    cfg: JointPassConfig,
 ) -> Float[np.ndarray, "s 3"]:
     """Every scan's pose matched once more against the keyframes around it, which stay.
 
@@ -262,8 +257,8 @@ def lay_scans(
         cloud.lines,
         cloud.index(JOINT_PASS_SECTORS),
         LineGate(JOINT_PASS_GATE, JOINT_PASS_AGREE),
-        np.asarray(cfg.scan_widths, dtype=float),
-        cfg.temper / cfg.sigma**2,
+        np.asarray(SCAN_WIDTHS, dtype=float),
+        JOINT_TEMPER / JOINT_SIGMA**2,
         np.array([JOINT_PASS_STEP_XY, JOINT_PASS_STEP_XY, JOINT_PASS_STEP_TURN]),
     )
     out[:, 2] = se2.wrap_angle(out[:, 2])

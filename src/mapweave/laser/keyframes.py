@@ -35,8 +35,6 @@ class StepNoise:
     wheels_turn: float = 0.018  # [rad per sqrt(rad)] and with the turning
     drift_xy: float = 0.002  # [m per sqrt(m)] that the front end drifts where walls tell all
     drift_turn: float = 0.0003  # [rad per sqrt(m)] that its heading drifts
-    jitter_xy: float = 0.002  # [m] sd of every keyframe's place, which no step inherits
-    jitter_turn: float = 0.001  # [rad] sd of its heading
 
 
 def carried(cov: Float[np.ndarray, "3 3"], step: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:

@@ -15,7 +15,7 @@ from ..core.laser_log import LaserLog
 from ..core.records import Scan, Track
 from ..core.workers import Progress
 from .beam import Beams, beams
-from .config import Feature, LaserTrackingConfig, weighed
+from .config import FILTER_LEAST_BEAMS, Feature, LaserTrackingConfig, weighed
 from .laser_map import GridMap, IntensityCalibration, ScanInfos, ScanRecords
 from .likelihood_field import nearest_field
 from .localise_filter import (
@@ -134,7 +134,7 @@ class MapFollower:
         points = _some(b, LOCALISE_BEAMS)
         motion = self._moved() if self.at else np.zeros(3)
         far = np.hypot(motion[0], motion[1]) >= UPDATE_DISTANCE or abs(motion[2]) >= UPDATE_TURN
-        if len(points) < self.cfg.filter.least_beams or (self.at and not far):
+        if len(points) < FILTER_LEAST_BEAMS or (self.at and not far):
             told = ScanInfo(info.innovation, info.beams, 0, "skipped" if len(points) else "empty")
         else:
             told = self._placed(scan, b, info, motion, points)

@@ -13,7 +13,7 @@ from ..core.rows import spread
 from .beam import Beams
 from .laser_map import GridMap
 from .likelihood_field import NearestField, wall_cells
-from .place_search import Hit, LikelihoodField, PlaceConfig, everywhere, likelihood_field, search
+from .place_search import Hit, LikelihoodField, everywhere, likelihood_field, search
 from .submaps import query_around
 
 LEAST_OCCUPANCY = 0.3  # of a cell that is a wall: what was mostly seen through was somebody passing by
@@ -40,7 +40,6 @@ class TrustConfig:
     """When a robot that seems to be placed in a map is believed to be there."""
 
     least_explained: float = 0.6  # share of the returns that must lie on walls of the map, within
-    place: PlaceConfig = PlaceConfig()
 
 
 class LocalisedScan(NamedTuple):
@@ -79,7 +78,7 @@ def evidence(
     """
     some = [seen[k] for k in spread(len(seen), TRUST_SCANS)]
     here = _agreement(some, walls, np.zeros(3), light=light)
-    ratio, rival = _rival(seen, grid, light=light, cfg=cfg) if searched else (0.0, None)
+    ratio, rival = _rival(seen, grid, light=light) if searched else (0.0, None)
     doubt = _doubt(here, cfg)
     if not doubt and rival is not None and ratio > MOST_RATIO:
         shift = se2.compose(rival, se2.inverse(seen[-1].pose))
@@ -158,9 +157,7 @@ def _through(
     return np.asarray(((d < 0.5 * walls.cell) & (s < r[:, None] - TRUST_MARGIN)).any(axis=1))
 
 
-def _rival(
-    seen: Sequence[LocalisedScan], grid: GridMap, *, light: bool, cfg: TrustConfig
-) -> tuple[float, Float[np.ndarray, "3"] | None]:
+def _rival(seen: Sequence[LocalisedScan], grid: GridMap, *, light: bool) -> tuple[float, Float[np.ndarray, "3"] | None]:
     """The best other place of the last scans, laid together as they are believed to lie, and its score's ratio."""
     kept = [seen[-1]]
     for one in reversed(seen[:-1]):
@@ -172,7 +169,7 @@ def _rival(
     query = query_around(np.array([one.pose for one in kept]), clouds, 0, len(kept), lights)
     if not len(query.points):
         return 1.0, None
-    field = _field(grid, light=light, cfg=cfg)
+    field = _field(grid, light=light)
     least = 0.5 * MOST_RATIO
     places = search(field, query.points, everywhere(field), query.q, least_ratio=least)
     hits = [hit for hit in (places.best, places.second) if hit is not None]
@@ -184,10 +181,10 @@ def _rival(
     return ratio, np.array(others[0].pose)
 
 
-def _field(grid: GridMap, *, light: bool, cfg: TrustConfig) -> LikelihoodField:
+def _field(grid: GridMap, *, light: bool) -> LikelihoodField:
     rows, cols = np.nonzero(wall_cells(grid, LEAST_OCCUPANCY))
     q = grid.feature[rows, cols].astype(float) if light else None
-    return likelihood_field(grid.mean[rows, cols].astype(float), q, cfg.place)
+    return likelihood_field(grid.mean[rows, cols].astype(float), q)
 
 
 def _same(hit: Hit, pose: Float[np.ndarray, "3"]) -> bool:

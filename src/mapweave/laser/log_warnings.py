@@ -21,13 +21,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..core import se2
-from ..core.config import config
 from ..core.findings import Finding
 from ..core.names import robot_name
 from ..core.records import Scan, Track
 from .laser_map import ScanRecords
 from .robot_graph import RobotGraph
 from .scan_odometry import STILL
+
+LAG_GAIN = 0.75  # share of the difference without a lag that may remain with it, at most
 
 LAG_MOST = 3.0  # [s] tried to either side,
 LAG_STEP = 0.05  # [s] apart
@@ -63,16 +64,7 @@ COPY_SCANS = 5  # keyframes that are equal, at least, and
 COPY_SHARE = 0.05  # of the keyframes of the robot that has fewer
 
 
-@config
-class LagCheck:
-    """Which lags are tried, and when one is a warning."""
-
-    gain: float = 0.75  # of the difference without a lag, at most, must remain with it
-
-
-def stamp_lag(
-    t: Float[np.ndarray, " m"], heading: Float[np.ndarray, " m"], odometry: Track | None, cfg: LagCheck
-) -> float | None:
+def stamp_lag(t: Float[np.ndarray, " m"], heading: Float[np.ndarray, " m"], odometry: Track | None) -> float | None:
     """By how much [s] the stamps of scans lag behind those of odometry, ahead of them if negative; None where unsure.
 
     t, heading: of the scans as they were matched, headings unwrapped.
@@ -91,7 +83,7 @@ def stamp_lag(
     best = int(np.argmin(whole))
     own = lags[[int(np.argmin(part.mean(axis=1))) for part in np.array_split(apart, LAG_PARTS, axis=1)]]
     sure = np.mean(np.abs(own - lags[best]) <= LAG_WITHIN + 1e-9) >= LAG_AGREE
-    return float(lags[best]) if sure and whole[best] <= cfg.gain * whole[len(lags) // 2] else None
+    return float(lags[best]) if sure and whole[best] <= LAG_GAIN * whole[len(lags) // 2] else None
 
 
 def lag_found(lag: float | None, robot: str) -> tuple[Finding, ...]:

@@ -13,10 +13,12 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
-from ..core.config import config
 from ..core.findings import Finding, turned_scanner
 from ..core.records import Scan
 from .beam import BeamConfig, Beams, beams
+
+MOTION_TURN_SCALE = 0.08  # share of the wheels' turns by which the scans' may differ
+MOTION_WALLS = 20  # that tell a motion, at least
 
 MOTION_WAY = 0.5  # [m] by the wheels, of each way,
 WAY_TURN = 0.5  # [rad] and at most turned in one
@@ -40,14 +42,6 @@ MOTION_SHARE = 0.8  # of which say the same
 
 SCANS = 200  # whose walls are looked at
 GUESSED = {"wheels-unlike", "scanner-askew", "scanner-turned"}  # what a reader finds before there is a map
-
-
-@config
-class MotionCheck:
-    """Which ways and turns are compared, and from which difference of scans and wheels it is a warning."""
-
-    turn_scale: float = 0.08  # of the wheels' turns by which the scans' may
-    walls: int = 20  # of them, at least
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +72,7 @@ class MotionAgreement:
     other_turns: float = 0.0
     walls: float | None = None
 
-    def findings(self, robot: str, cfg: MotionCheck) -> tuple[Finding, ...]:
+    def findings(self, robot: str) -> tuple[Finding, ...]:
         """One for each that differs clearly and by more than instruments do."""
         out = []
         apart = self.other > MOST_OTHER or self.other_turns > MOST_OTHER_TURNS
@@ -90,7 +84,7 @@ class MotionAgreement:
         if not apart and (d := self.direction) is not None and d.differs(0.0, MOTION_TURNED):
             out.append(turned_scanner(robot, d.value, d.sd))
         same = self.other_turns <= MOST_OTHER_TURNS
-        if same and (w := self.turn) is not None and w.differs(1.0, cfg.turn_scale):
+        if same and (w := self.turn) is not None and w.differs(1.0, MOTION_TURN_SCALE):
             told = {"value": w.value, "sd": w.sd}
             if self.walls is not None and self.walls >= MOTION_SHARE:
                 out.append(Finding("wheels-turns", robot, value=told))
@@ -112,9 +106,7 @@ def instead_of(findings: Sequence[Finding], measured: Sequence[Finding]) -> tupl
     return (*(f for f in findings if not (better and f.code in GUESSED)), *measured)
 
 
-def motion_agreement(
-    poses: Float[np.ndarray, "m 3"], scans: Sequence[Scan], beam: BeamConfig, cfg: MotionCheck
-) -> MotionAgreement:
+def motion_agreement(poses: Float[np.ndarray, "m 3"], scans: Sequence[Scan], beam: BeamConfig) -> MotionAgreement:
     """What the matched `poses` of `scans` tell of the motion that their odometry reports: medians over ways and turns.
 
     Standard errors come from how the medians of parts of the log scatter: wheels err for metres on end.
@@ -138,11 +130,11 @@ def motion_agreement(
         None if turn is None else turn[0],
         0.0 if move is None else _other(motions),
         float(stiff) if turn is None else _other(turned),
-        None if turn is None or not turn[0].differs(1.0, cfg.turn_scale) else straight(scans, turn[0].value, cfg),
+        None if turn is None or not turn[0].differs(1.0, MOTION_TURN_SCALE) else straight(scans, turn[0].value),
     )
 
 
-def straight(scans: Sequence[Scan], factor: float, cfg: MotionCheck) -> float | None:
+def straight(scans: Sequence[Scan], factor: float) -> float | None:
     """The share of walls that are straighter by the angles of `scans` than by `factor` times smaller ones.
 
     None where too few walls tell. Seen by wrong angles a wall across many beams is bent.
@@ -154,7 +146,7 @@ def straight(scans: Sequence[Scan], factor: float, cfg: MotionCheck) -> float | 
             here, there = (_off_line(scan.ranges[wall], angle[wall] / by) for by in (1.0, factor))
             stated += here <= MOTION_STRAIGHT and there > MOTION_STRAIGHTER * here
             other += there <= MOTION_STRAIGHT and here > MOTION_STRAIGHTER * there
-    return stated / (stated + other) if stated + other >= cfg.walls else None
+    return stated / (stated + other) if stated + other >= MOTION_WALLS else None
 
 
 def _walls(scan: Scan) -> list[slice]:

@@ -24,6 +24,10 @@ from ..core.laser_log import LaserLog
 from ..core.records import Scan, Track, frozen
 from .beam import BeamConfig, beams
 
+WORTH_TURN_SCALE = 0.2  # share of a turn by which wheels must surely be off for the map to gain,
+WORTH_TURN_PER_M = 0.1  # [rad/m] of bias,
+WORTH_TURN_PER_S = 0.05  # [rad/s] of bias
+
 ODOMETRY_CALIBRATION_SURE = 5.0  # standard errors that a value must be off by
 ODOMETRY_CALIBRATION_HELD = 0.25  # [m] by which a scale of ways moves the longest way that no walls tell, or
 ODOMETRY_CALIBRATION_SCALE = 0.15  # of the way, whatever the walls tell
@@ -74,9 +78,6 @@ class OdometryCalibrationConfig:
     """
 
     apply: bool = True  # whether a log is mapped with what it tells
-    turn_scale: float = 0.2  # of a turn
-    turn_per_m: float = 0.1  # [rad/m] of bias
-    turn_per_s: float = 0.05  # [rad/s] of bias
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +151,7 @@ class OdometryCalibration:
         for name, kind in (("value", np.float64), ("sd", np.float64), ("observed", np.bool_), ("applied", np.bool_)):
             object.__setattr__(self, name, frozen(getattr(self, name), kind))
 
-    def worth(self, cfg: OdometryCalibrationConfig, *, stated: bool) -> Bool[np.ndarray, "8"]:
+    def worth(self, *, stated: bool) -> Bool[np.ndarray, "8"]:
         """(8,) which are surely off, and by so much that the map gains. stated: whether the log says a mounting."""
         off = np.abs(self.value - NOMINAL)
         scale = min(ODOMETRY_CALIBRATION_SCALE, ODOMETRY_CALIBRATION_HELD / max(self.unheld, 1e-9))
@@ -159,9 +160,9 @@ class OdometryCalibration:
         least = np.array(
             [
                 scale,
-                cfg.turn_scale,
-                cfg.turn_per_m,
-                cfg.turn_per_s,
+                WORTH_TURN_SCALE,
+                WORTH_TURN_PER_M,
+                WORTH_TURN_PER_S,
                 lag,
                 ahead,
                 ODOMETRY_CALIBRATION_PLACE,

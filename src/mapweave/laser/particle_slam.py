@@ -16,6 +16,7 @@ from ..kernels.laser.resample import systematic
 from ..kernels.laser.windows import NearestRule
 from .beam import STEERING, Beams, IntensityCalibration, beams
 from .config import (
+    FILTER_LEAST_BEAMS,
     FILTER_SHARED,
     FILTER_SIGMA,
     PAPER_SIGMA2,
@@ -92,7 +93,7 @@ def step(
     u = se2.between(state.odometry.poses[state.history[-1][0]], state.odometry.poses[row])
     d = float(np.hypot(u[0], u[1]))
     f = cfg.filter
-    if (d < f.update_distance and abs(u[2]) < f.update_turn) or len(points) < f.least_beams:
+    if (d < f.update_distance and abs(u[2]) < f.update_turn) or len(points) < FILTER_LEAST_BEAMS:
         return state, replace(info, decision="skipped" if info.decision == "matched" else info.decision)
     state.poses = move(state.poses, u, f, rng)
     least = None

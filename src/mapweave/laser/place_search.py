@@ -32,6 +32,7 @@ LARGEST = 40_000_000  # cells of a field
 PLACE_APART = 0.7  # [m] from the best pose from which on another is of a second place, or
 PLACE_APART_TURN = 0.25  # [rad]
 PLACE_NOISE = 0.02  # [m] of a matched point, at least
+LINE_REACH = 0.2  # [m] points this near make a wall's line
 PLACE_TEMPER = 0.1  # of the points that count as independent
 PLACE_FLOOR = (0.02, 0.02, 0.00523598775598299)  # [m, m, rad], 0.3 degrees: sd that no match is better than
 
@@ -47,7 +48,6 @@ class PlaceConfig:
     q_weight: float = 0.2  # [m] a unit of q counts as much as
     turn: float = 0.02617993877991494  # [rad] step of the search, 1.5 degrees
     levels: int = 2  # the coarsest squares are 2^levels cells wide
-    line_reach: float = 0.2  # [m] points this near make a wall's line
     gate: float = 0.3  # [m] a point farther from every wall is no match
     inlier: float = 0.1  # [m] and one this near is an inlier
     widths: tuple[float, ...] = (0.2, 0.2, 0.1, 0.1, 0.05)  # [m] of the refinement's robust cost
@@ -163,7 +163,7 @@ def likelihood_field(
     return LikelihoodField(
         points=points,
         q=None if q is None else frozen(q),
-        lines=owned(fit_normals(points, cfg.line_reach)),
+        lines=owned(fit_normals(points, LINE_REACH)),
         tables=owned(tables),
         blocks=owned(_blocks((tables[-1] >> 2) + ((tables[-1] & 3) > 0), 2**cfg.levels)),
         dark=owned(np.ascontiguousarray(dark)),

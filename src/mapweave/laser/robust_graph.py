@@ -13,7 +13,6 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse.csgraph import connected_components
 
 from ..core import se2
-from ..core.config import config
 from ..core.errors import DataError
 from ..core.gaussian import chi2_quantile
 from ..core.records import frozen
@@ -21,6 +20,11 @@ from ..solve import Cauchy, Factor, Pattern, Problem, Solution, SolveConfig, Sol
 from ..solve.information import BlockCholesky
 from ..solve.problem import Kernel
 from .pose_graph import PoseEdges, PoseGraph
+
+CONTRADICTION = 16.27  # squared sd (3 degrees of freedom, 0.1 %) beyond which an edge contradicts
+MOST_ROUNDS = 80  # of a graduated kernel
+EDGE_CHANCE = 1e-3  # that one edge of a graph without false ones lies so far from the others
+ROBUST_SOLVE = SolveConfig(max_iterations=100, step_tolerance=1e-7, cost_tolerance=1e-9)  # of every round
 
 ROBUST_GRAPH_KERNEL = 2.0  # [sd] width of the Cauchy cost
 ROBUST_GRAPH_GROWTH = 1.4  # of the control parameter, a round
@@ -34,7 +38,7 @@ HOLDS_ALONE = 1e-6  # share of an edge's covariance that is left over: less, and
 FADED = 1e-8  # what a dropped edge counts while weights are sought: the graph stays in one piece
 
 
-@config
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RobustGraphConfig:
     """How edges that contradict the rest are found.
 
@@ -43,10 +47,6 @@ class RobustGraphConfig:
     """
 
     method: Literal["none", "cauchy", "gnc"] = "gnc"
-    gate: float = 16.27  # squared sd (3 degrees of freedom, 0.1 %) beyond which an edge contradicts
-    most_rounds: int = 80
-    chance: float = 1e-3  # that one edge of a graph without false ones lies so far from the others
-    solve: SolveConfig = SolveConfig(max_iterations=100, step_tolerance=1e-7, cost_tolerance=1e-9)
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,19 +142,19 @@ def solve_graph(
     for _ in range(REVISIONS):
         component, held = _components(graph, used, first, priors)
         problem = _problem(replace(graph, pose=x), used.astype(float), held, priors, None)
-        solution = minimise(problem, cfg.solve, Pattern.of(problem).in_threes())
+        solution = minimise(problem, ROBUST_SOLVE, Pattern.of(problem).in_threes())
         iterations += solution.iterations
         if cfg.method != "none":
-            again = minimise(replace(problem, x0=graph.pose.ravel()), cfg.solve, Pattern.of(problem).in_threes())
+            again = minimise(replace(problem, x0=graph.pose.ravel()), ROBUST_SOLVE, Pattern.of(problem).in_threes())
             iterations += again.iterations
             solution = again if again.cost < (1.0 - SAME) * solution.cost else solution
         x = solution.x.reshape(-1, 3)
         now = replace(graph, pose=x)
-        back = ~used & ~refused & (_squares(now) <= cfg.gate)
+        back = ~used & ~refused & (_squares(now) <= CONTRADICTION)
         used = used | back  # an edge that fits once the others are gone is believed again
         if back.any():
             continue
-        worst = None if cfg.method == "none" else _worst(now, solution, used & may, cfg)
+        worst = None if cfg.method == "none" else _worst(now, solution, used & may)
         if worst is None:
             break
         used[worst], refused[worst] = False, True
@@ -167,12 +167,12 @@ def solve_graph(
         used=frozen(used, bool),
         nis=frozen(nis),
         prior_nis=frozen(_left_out_priors(priors, solution)),
-        fixed_nis=frozen(_fixed_squares(solved, used, component, held, priors, cfg)),
+        fixed_nis=frozen(_fixed_squares(solved, used, component, held, priors)),
         component=frozen(component, np.int64),
         fixed=held,
         dropped=tuple(
             _dropped(
-                graph, k, float(nis[k]), cfg.gate, float(np.median(nis[used & may])) if (used & may).any() else 0.0
+                graph, k, float(nis[k]), CONTRADICTION, float(np.median(nis[used & may])) if (used & may).any() else 0.0
             )
             for k in np.flatnonzero(~used).tolist()
         ),
@@ -198,33 +198,33 @@ def _believed(
     weight = np.ones(graph.edges)
     if cfg.method == "cauchy":
         problem = _problem(graph, weight, held, priors, Cauchy(ROBUST_GRAPH_KERNEL), may)
-        solution = minimise(problem, cfg.solve, Pattern.of(problem).in_threes())
+        solution = minimise(problem, ROBUST_SOLVE, Pattern.of(problem).in_threes())
         pose = solution.x.reshape(-1, 3)
-        beyond = may & (_squares(replace(graph, pose=pose)) > cfg.gate)
+        beyond = may & (_squares(replace(graph, pose=pose)) > CONTRADICTION)
         return ~beyond, pose, 1, solution.iterations
-    step = replace(cfg.solve, max_iterations=10, step_tolerance=1e-5, cost_tolerance=1e-5)
+    step = replace(ROBUST_SOLVE, max_iterations=10, step_tolerance=1e-5, cost_tolerance=1e-5)
     pattern = Pattern.of(_problem(graph, weight, held, priors, None)).in_threes()
     pose, iterations, control = graph.pose, 0, 0.0
-    for rounds in range(1, cfg.most_rounds + 1):
+    for rounds in range(1, MOST_ROUNDS + 1):
         problem = _problem(replace(graph, pose=pose), weight, held, priors, None)
         solution = minimise(problem, step, pattern)
         pose, iterations = solution.x.reshape(-1, 3), iterations + solution.iterations
         s = _squares(replace(graph, pose=pose))
         if rounds == 1:
             worst = float(s[may].max())
-            if worst <= cfg.gate:
+            if worst <= CONTRADICTION:
                 return np.ones(graph.edges, dtype=bool), pose, rounds, iterations
-            control = cfg.gate / (2.0 * worst - cfg.gate)  # [Yang20] remark 5
-        high = (control + 1.0) / control * cfg.gate
-        weight = np.where(may, truncated_weights(s, cfg.gate, control), 1.0)
+            control = CONTRADICTION / (2.0 * worst - CONTRADICTION)  # [Yang20] remark 5
+        high = (control + 1.0) / control * CONTRADICTION
+        weight = np.where(may, truncated_weights(s, CONTRADICTION, control), 1.0)
         control *= ROBUST_GRAPH_GROWTH
-        if ((weight > 1.0 - 1e-6) | (weight <= FADED)).all() and high < 1.05 * cfg.gate:
+        if ((weight > 1.0 - 1e-6) | (weight <= FADED)).all() and high < 1.05 * CONTRADICTION:
             break
     s = _squares(replace(graph, pose=pose))
-    return ~may | (s <= cfg.gate), pose, rounds, iterations
+    return ~may | (s <= CONTRADICTION), pose, rounds, iterations
 
 
-def _worst(graph: PoseGraph, solution: Solution, asked: np.ndarray, cfg: RobustGraphConfig) -> int | None:
+def _worst(graph: PoseGraph, solution: Solution, asked: np.ndarray) -> int | None:
     """Of the edges `asked` the one that contradicts all others most, if it does beyond what chance gives.
 
     A false edge that bends the graph to itself fits: it shows by how far it lies from the solution without it. Where
@@ -239,7 +239,7 @@ def _worst(graph: PoseGraph, solution: Solution, asked: np.ndarray, cfg: RobustG
     narrower = (
         min(1.0, max(ROBUST_GRAPH_TAILS * scatter, ROBUST_GRAPH_NARROWEST)) if len(rows) >= ROBUST_GRAPH_ENOUGH else 1.0
     )
-    limit = chi2_quantile(1.0 - cfg.chance / len(rows), 3.0) * narrower
+    limit = chi2_quantile(1.0 - EDGE_CHANCE / len(rows), 3.0) * narrower
     return int(rows[worst]) if nis[worst] > limit else None
 
 
@@ -305,7 +305,6 @@ def _fixed_squares(
     component: np.ndarray,
     held: tuple[int, ...],
     priors: Sequence[Prior],
-    cfg: RobustGraphConfig,
 ) -> Float[np.ndarray, " f"]:
     """How far each pose held lies from where the rest puts it when only the first of its part is held [squared sd]."""
     at = np.array(held, dtype=np.int64)
@@ -314,7 +313,7 @@ def _fixed_squares(
     if len(first) == len(at):
         return nis
     problem = _problem(graph, used.astype(float), first, priors, None)
-    free = minimise(problem, cfg.solve, Pattern.of(problem).in_threes())
+    free = minimise(problem, ROBUST_SOLVE, Pattern.of(problem).in_threes())
     if free.information is None:
         return nis
     other = np.flatnonzero(~np.isin(at, first))

@@ -17,6 +17,8 @@ from ..core.errors import ConfigError
 from ..kernels.laser.local_map import MatchCost, ScanPoints, add_points, align_scan, count_matches, fit_lines
 from .beam import Beams
 
+FRONT_END_AGREE = 0.5  # least cosine between a beam's normal and its cell's
+
 FRONT_END_COARSE = 0.2  # cell [m] of the first iterations
 FRONT_END_FINE = 0.1  # cell [m] of the last ones
 COARSE_ITERATIONS = 8  # Gauss-Newton steps on the coarse level
@@ -54,10 +56,8 @@ class FrontEndConfig:
     keyframes: int = 60  # scans the local map holds
     keyframe_turn: float = 0.4  # [rad] beyond which a keyframe is new, whatever was driven
     alpha: float = 1.0  # [m^2 per q^2] what a difference in the feature counts
-    agree: float = 0.5  # least cosine between a beam's normal and its cell's
     neff: float = 60.0  # a scan counts as so many independent returns
     tangent: float = 0.1  # weight of the error along the line, with a feature
-    least_beams: int = 10  # scans with fewer returns are not matched
     sd_xy: float = 0.03  # [m] + sd_xy_per_m d: how far odometry may err in a step
     sd_xy_per_m: float = 0.3  # and so much more a metre driven
     sd_turn: float = 0.03  # [rad] + sd_turn_per_m d + sd_turn_per_rad |turn|
@@ -90,8 +90,6 @@ class FrontEnd:
         self.tangent = cfg.tangent if tangent is None else tangent
         if cfg.size < 8 or cfg.size & (cfg.size - 1):
             raise ConfigError(f"front_end.size: expected a power of two from 8 on, found {cfg.size}")
-        if not cfg.agree > 0:
-            raise ConfigError(f"front_end.agree: expected above 0, found {cfg.agree}")
         self.sums = [_untouched((cfg.size, cfg.size, 9)) for _ in range(2)]
         self.lines = [_untouched((cfg.size, cfg.size, 6)) for _ in range(2)]
         self.fine, self.coarse = self.lines
@@ -192,7 +190,7 @@ class FrontEnd:
             self.fine,
             FRONT_END_FINE,
             ScanPoints(b.s, b.normal, b.q),
-            MatchCost(c.alpha, c.agree, c.neff / FRONT_END_SIGMA**2, 0.0, FRONT_END_KAPPA),
+            MatchCost(c.alpha, FRONT_END_AGREE, c.neff / FRONT_END_SIGMA**2, 0.0, FRONT_END_KAPPA),
             pose,
             pose,
             held,
@@ -211,7 +209,7 @@ class FrontEnd:
     ) -> tuple[np.ndarray, np.ndarray, float]:
         c = self.cfg
         scan = ScanPoints(b.s, b.normal, b.q)
-        fine = MatchCost(c.alpha, c.agree, c.neff / FRONT_END_SIGMA**2, self.tangent, FRONT_END_KAPPA)
+        fine = MatchCost(c.alpha, FRONT_END_AGREE, c.neff / FRONT_END_SIGMA**2, self.tangent, FRONT_END_KAPPA)
         coarse = fine._replace(kappa=COARSE_KAPPA)
         pose, _, _ = align_scan(self.coarse, FRONT_END_COARSE, scan, coarse, start, predicted, sd, COARSE_ITERATIONS)
         pose, H, cost = align_scan(self.fine, FRONT_END_FINE, scan, fine, pose, predicted, sd, FINE_ITERATIONS)
@@ -219,7 +217,7 @@ class FrontEnd:
         return pose, H, cost
 
     def _count(self, grid: np.ndarray, cell: float, b: Beams, pose: np.ndarray, reach: float) -> int:
-        return count_matches(grid, cell, b.s, b.normal, b.q, self.cfg.alpha, self.cfg.agree, pose, reach)
+        return count_matches(grid, cell, b.s, b.normal, b.q, self.cfg.alpha, FRONT_END_AGREE, pose, reach)
 
 
 def _untouched(shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:

@@ -30,6 +30,8 @@ from .scan_matching import (
 )
 from .wheel_worth import WheelWorth
 
+FRONT_END_LEAST_BEAMS = 10  # scans with fewer returns are not matched
+
 ALONE_SD = np.array([0.25, 0.25, ALONE_TURN])  # [m, m, rad] of a step of a robot without odometry
 GYRO_TURN = 0.02  # [rad] by which the turn of a gyroscope may err in a step, one sigma
 
@@ -190,8 +192,8 @@ class ScanOdometry:
         if not len(self.poses):
             return self._accept(b, np.zeros(3), ScanInfo(NO_INNOVATION, n, 0, "first", information=np.zeros((3, 3))))
         predicted = se2.compose(self.poses[-1], u)
-        if n < self.cfg.least_beams or not self.matching:
-            decision = "odometry" if n >= self.cfg.least_beams else "empty"
+        if n < FRONT_END_LEAST_BEAMS or not self.matching:
+            decision = "odometry" if n >= FRONT_END_LEAST_BEAMS else "empty"
             info = ScanInfo(NO_INNOVATION, n, 0, decision, information=np.diag(sd**-2.0))
             return self._accept(b, predicted, info)
         for fe in (self.front_end, self._anew):
@@ -249,7 +251,7 @@ class ScanOdometry:
         if len(self.poses):
             self.step = se2.between(self.poses[-1], pose)
         self.poses.append(pose)
-        if self.matching and len(b.q) >= self.cfg.least_beams:
+        if self.matching and len(b.q) >= FRONT_END_LEAST_BEAMS:
             self.front_end.insert(b, pose)
             if self._anew is not None:
                 self._anew.insert(b, pose)

@@ -41,7 +41,7 @@ class LandmarkRobot:
         if part is None or part.end is None:
             return
         self.t = part.end if self.t is None else max(self.t, part.end)
-        log = without_impossible(self.record.log_of(part), self._cfg)
+        log = without_impossible(self.record.log_of(part))
         for name, n in log.sightings.counts().items():
             self._counts[name] = self._counts.get(name, 0) + n
         if not self._cfg.odometry:

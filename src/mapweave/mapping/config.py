@@ -11,8 +11,6 @@ from .keyframe_graph import KeyframeGraphConfig
 from .known_places import KnownPlacesConfig
 from .merge_search import MergeConfig
 from .places import PlaceSearchConfig
-from .segments import SegmentConfig
-from .submaps import PlaceSubmapConfig
 
 DRIFTING = StepNoise(wheels_xy=0.1, wheels_turn_per_m=0.03, wheels_turn=0.1, drift_xy=0.005, drift_turn=0.001)
 """Steps of any robot's log: wheels that may be poor, front ends that see half the circle."""
@@ -20,9 +18,7 @@ DRIFTING = StepNoise(wheels_xy=0.1, wheels_turn_per_m=0.03, wheels_turn=0.1, dri
 
 @config
 class GraphConfig:
-    """The graph method: keyframes, loops, and the last pass over everything. lineage: the noise of steps along the best
-    particle's trajectory, which light holds where walls do not.
-    """
+    """The graph method: keyframes, loops, and the last pass over everything."""
 
     hypotheses: int = 100  # particles that find the trajectory where light tells places apart; 0: scan odometry alone
     loops: bool = True  # whether loops are looked for
@@ -31,11 +27,6 @@ class GraphConfig:
     keyframe_graph: KeyframeGraphConfig = KeyframeGraphConfig(
         resolve_share=0.15, keyframes=KeyframeConfig(distance=0.4, turn=0.4, noise=DRIFTING)
     )
-    lineage: StepNoise = StepNoise(wheels_xy=0.015, drift_xy=0.005, drift_turn=0.001)
-    settle_xy: float = 0.3  # [m] that places found move the robot by, or
-    settle_turn: float = 0.1  # [rad] turn it: what holds is decided at once
-    segments: SegmentConfig = SegmentConfig()
-    submap: PlaceSubmapConfig = PlaceSubmapConfig()
     places: PlaceSearchConfig = PlaceSearchConfig()
     known_places: KnownPlacesConfig = KnownPlacesConfig()
     joint: JointPassConfig = JointPassConfig()
@@ -69,7 +60,6 @@ class LaserTeamConfig:
     """A team whose starts are known: those of all robots but the first err, `map` hangs on the first's."""
 
     teammate: float = 0.45  # [m] around a teammate: returns from there are not walls
-    open_share: float = 0.9  # share of the scanner's range that is free where a beam does not come back
     beams: BeamConfig = BeamConfig()
     front_end: FrontEndConfig = ALL_ROUND
     graph: KeyframeGraphConfig = KeyframeGraphConfig()

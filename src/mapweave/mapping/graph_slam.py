@@ -20,7 +20,7 @@ from ..core.workers import Progress, no_progress
 from ..laser import particle_slam
 from ..laser.beam import STEERING, Beams, IntensityCalibration, beams
 from ..laser.joint_pass import JOINT_PASS_BEAMS, SCAN_AROUND, SCAN_BEAMS, joint_pass, lay_scans, neighbours, scan_cloud
-from ..laser.keyframes import Keyframe, KeyframeMaker, KeyframeOdometry, carried
+from ..laser.keyframes import Keyframe, KeyframeMaker, KeyframeOdometry, StepNoise, carried
 from ..laser.particle_slam import ParticleState
 from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import PoseEstimate, ScanInfo, blended
@@ -30,7 +30,12 @@ from .keyframe_graph import KeyframeGraph
 from .known_places import KnownPlaces
 from .loops import LoopFinder
 from .places import PlaceIndex
-from .segments import CONTRADICTED, GAP, Borders
+from .segments import CONTRADICTED, GAP, Borders, border_covariance
+
+# of steps along the best particle's trajectory, which light holds where walls do not
+LINEAGE = StepNoise(wheels_xy=0.015, drift_xy=0.005, drift_turn=0.001)
+SETTLE_XY = 0.3  # [m] that places found move the robot by, or
+SETTLE_TURN = 0.1  # [rad] turn it: what holds is decided at once
 
 _NONE = np.zeros(0)
 GONE = Beams(np.zeros((0, 2)), _NONE, _NONE, np.zeros((0, 2)), _NONE, _NONE, _NONE, *2 * [np.zeros(0, np.int64)])
@@ -93,8 +98,8 @@ def init(
         robot,
         KeyframeOdometry(0, g.keyframe_graph.keyframes, cfg.front_end, feature, learn=True),
         particles,
-        KeyframeGraph(g.keyframe_graph, np.zeros((1, 3)), g.segments),
-        Borders(g.segments),
+        KeyframeGraph(g.keyframe_graph, np.zeros((1, 3))),
+        Borders(),
         _search(cfg, feature),
         KnownPlaces(g.known_places),
         feature,
@@ -124,7 +129,7 @@ def step(
     wheels = scan.odometry is not None and not leapt
     border = state.borders.seen(event.t, info, state.odometry.step, wheels=wheels)
     wheeled = GAP if border == GAP and scan.odometry is not None else ""
-    weak = cfg.graph.segments.covariance(state.odometry.step, wheeled) if border else None
+    weak = border_covariance(state.odometry.step, wheeled) if border else None
     keyframe = state.odometry.keyframe(event.t, b, border, weak)
     if keyframe is not None and wheeled:  # after a gap a match may be any: what wheels tell is what is known
         keyframe = keyframe._replace(step=np.asarray(se2.compose(keyframe.step, se2.inverse(info.innovation))))
@@ -162,7 +167,7 @@ def so_far(state: GraphState, cfg: LaserConfig, *, covariances: bool = True) -> 
 
 def _search(cfg: LaserConfig, feature: str) -> LoopFinder:
     """The search for loops among submaps, of which there are none yet."""
-    return LoopFinder(cfg.graph.submap, PlaceIndex(cfg.graph.places), light=feature in STEERING)
+    return LoopFinder(PlaceIndex(cfg.graph.places), light=feature in STEERING)
 
 
 def _filtering(cfg: LaserConfig) -> LaserConfig:
@@ -185,11 +190,11 @@ def _grow(state: GraphState, cfg: LaserConfig, row: int, keyframe: Keyframe | No
     for loop in found:
         graph.tie(loop.first, loop.second, loop.match)
     innovations = [graph.closures[k].innovation for k in range(-len(found), 0)]
-    if found and (graph.grown or (not graph.settled and _moved(innovations, cfg))):
+    if found and (graph.grown or (not graph.settled and _moved(innovations))):
         graph.settle(steps_too=False)
     if not found:
         return range(0)
-    left = state.known.step(graph, number, found[-1].second, lambda i, k: _laid(state, cfg, i, k))
+    left = state.known.step(graph, number, found[-1].second, lambda i, k: _laid(state, i, k))
     if left is None:
         return range(0)
     loops.forget(left.first, left.last)
@@ -201,15 +206,15 @@ def _grow(state: GraphState, cfg: LaserConfig, row: int, keyframe: Keyframe | No
     return unneeded
 
 
-def _moved(innovations: Sequence[Float[np.ndarray, "3"]], cfg: LaserConfig) -> bool:
+def _moved(innovations: Sequence[Float[np.ndarray, "3"]]) -> bool:
     """Whether the places found put the robot elsewhere than the estimate does, most of them."""
     off = np.median(np.abs(innovations), axis=0)
-    return bool(max(off[0], off[1]) > cfg.graph.settle_xy or off[2] > cfg.graph.settle_turn)
+    return bool(max(off[0], off[1]) > SETTLE_XY or off[2] > SETTLE_TURN)
 
 
-def _laid(state: GraphState, cfg: LaserConfig, first: int, last: int) -> Float[np.ndarray, "c 3"]:
+def _laid(state: GraphState, first: int, last: int) -> Float[np.ndarray, "c 3"]:
     """Keyframes `first` to `last` matched against those before them that stand around."""
-    graph, joint = state.graph, cfg.graph.joint
+    graph = state.graph
     rows, own = np.array(state.keyframes), np.arange(first, last + 1)
     pose, old = graph.pose[own], graph.pose[:first]
     near = np.unique(neighbours(pose, old, SCAN_AROUND))
@@ -218,7 +223,7 @@ def _laid(state: GraphState, cfg: LaserConfig, first: int, last: int) -> Float[n
         scan_cloud([graph.nodes[k].beams for k in at], np.array([state.sensors[k] for k in rows[at]]), most)
         for at, most in ((near, JOINT_PASS_BEAMS), (own, SCAN_BEAMS))
     )
-    return lay_scans(pose, cloud, old[near], old_cloud, np.full(len(own), -1, np.int64), joint)
+    return lay_scans(pose, cloud, old[near], old_cloud, np.full(len(own), -1, np.int64))
 
 
 def _whole(state: GraphState, cfg: LaserConfig, on_progress: Progress) -> tuple[Float[np.ndarray, "m 3"], GraphState]:
@@ -244,13 +249,13 @@ def _along_lineage(
     poses = particle_slam.trajectory(particles)
     grown = replace(
         state,
-        graph=KeyframeGraph(cfg.graph.keyframe_graph, np.zeros((1, 3)), cfg.graph.segments),
+        graph=KeyframeGraph(cfg.graph.keyframe_graph, np.zeros((1, 3))),
         loops=_search(cfg, state.feature),
         known=KnownPlaces(cfg.graph.known_places),
         keyframes=[],
         revisits=[],
     )
-    maker = KeyframeMaker(0, replace(cfg.graph.keyframe_graph.keyframes, noise=cfg.graph.lineage))
+    maker = KeyframeMaker(0, replace(cfg.graph.keyframe_graph.keyframes, noise=LINEAGE))
     before = poses[0]
     for row, pose in enumerate(poses):
         maker.advance(pose, se2.between(before, pose), state.lines[row])
@@ -285,7 +290,7 @@ def finalise(state: GraphState, cfg: LaserConfig, on_progress: Progress = no_pro
         own[rows] = np.arange(len(rows))
         there = np.flatnonzero([scan is not GONE for scan in state.scans])
         scans = scan_cloud([state.scans[k] for k in there], sensors[there], SCAN_BEAMS)
-        poses[there] = lay_scans(poses[there], scans, pose, cloud, own[there], joint)
+        poses[there] = lay_scans(poses[there], scans, pose, cloud, own[there])
         on_progress("last pass", 2, 2)
     return GraphEstimate(poses, robot)
 

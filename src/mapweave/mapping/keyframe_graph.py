@@ -13,7 +13,15 @@ from ..laser.keyframes import Keyframe, KeyframeConfig, carried
 from ..laser.pose_graph import PoseGraph, Solved, edge_factor, problem
 from ..laser.robust_graph import RobustGraphConfig, solve_graph
 from .places import PlaceMatch
-from .segments import GAP, REFUSED, SegmentConfig
+from .segments import GAP, REFUSED, border_covariance
+
+PLACE_AROUND = 5  # keyframes on either side of the old one that its local map is made of
+PLACE_WITHIN = 4.0  # [m] from the old keyframe that they stand at most
+CLOSURE_KERNEL = 3.0  # [sd] width of the robust kernel
+CLOSURE_CONTRADICTION = 16.27  # squared residual [sd^2] after optimising beyond which a closure is dropped
+JITTER_XY = 0.002  # [m] sd of every keyframe's place, which no step inherits
+JITTER_TURN = 0.001  # [rad] sd of its heading
+RESOLVE_LEAST = 8  # new keyframes from which on the graph is solved anew, at least
 
 OUTWEIGHED = 3  # places that hold without a step and not with it: then it is the step that is wrong
 SLIPPED = 1.0  # sd, of a step over a border, that steps in a row may be wrong by: farther, the places are wrong
@@ -34,8 +42,6 @@ class KeyframeGraphConfig:
     start_xy: float = 0.01  # [m] sd of the starts of all robots but the first, which `map` hangs on, and
     start_turn: float = 0.0087  # [rad] of their headings, half a degree
     resolve_share: float = 0.02  # share of new keyframes from which on the graph is solved anew,
-    resolve_least: int = 8  # so many keyframes at least, or
-    resolve_innovation: float = 2.0  # [sd] when a closure moved a pose by more than this
     keyframes: KeyframeConfig = KeyframeConfig()
     closures: ClosureConfig = ClosureConfig()
 
@@ -46,10 +52,8 @@ class KeyframeGraph:
     whose step tells nothing, the robot having been carried; unclear: those after one that fit elsewhere about as well.
     """
 
-    def __init__(
-        self, cfg: KeyframeGraphConfig, starts: Float[np.ndarray, "M 3"], segments: SegmentConfig | None = None
-    ) -> None:
-        self.cfg, self.starts, self.segments = cfg, starts, segments or SegmentConfig()
+    def __init__(self, cfg: KeyframeGraphConfig, starts: Float[np.ndarray, "M 3"]) -> None:
+        self.cfg, self.starts = cfg, starts
         self.contradicted: frozenset[int] = frozenset()
         self.loose: frozenset[int] = frozenset()
         self.unclear: tuple[int, ...] = ()
@@ -89,7 +93,7 @@ class KeyframeGraph:
 
     def copy(self) -> "KeyframeGraph":
         """The same graph, which may grow and be solved without this one's knowing."""
-        other = KeyframeGraph(self.cfg, self.starts, self.segments)
+        other = KeyframeGraph(self.cfg, self.starts)
         other.contradicted, other.loose = self.contradicted, self.loose
         other.nodes, other.closures, other._since = list(self.nodes), list(self.closures), list(self._since)
         other.of = [list(of) for of in self.of]
@@ -107,13 +111,13 @@ class KeyframeGraph:
     def grown(self) -> bool:
         """Whether enough keyframes came since the last solution, or a robot's first one, for a new one."""
         fresh = len(self) - self.known
-        enough = fresh >= max(self.cfg.resolve_least, self.cfg.resolve_share * len(self))
+        enough = fresh >= max(RESOLVE_LEAST, self.cfg.resolve_share * len(self))
         return enough or any(of and of[0] >= self.known for of in self.of)
 
     @property
     def settled(self) -> bool:
         """Whether it was decided a few keyframes ago which closures hold."""
-        return len(self) - self._settled < max(self.cfg.resolve_least, SELDOM * len(self))
+        return len(self) - self._settled < max(RESOLVE_LEAST, SELDOM * len(self))
 
     def anchor(self, i: int) -> int | None:
         """The last solved keyframe of the robot of keyframe `i`, up to `i`."""
@@ -177,11 +181,11 @@ class KeyframeGraph:
 
     def place(self, k: int) -> Place:
         """Keyframe `k` and those its robot made before and after it, in its frame."""
-        c, node = self.cfg.closures, self.nodes[k]
+        _c, node = self.cfg.closures, self.nodes[k]
         of = self.of[node.robot]
-        near = of[max(0, node.number - c.around) : node.number + c.around + 1]
+        near = of[max(0, node.number - PLACE_AROUND) : node.number + PLACE_AROUND + 1]
         rel = se2.between(self.pose[k], self.pose[near])
-        inside = np.hypot(rel[:, 0], rel[:, 1]) <= c.within
+        inside = np.hypot(rel[:, 0], rel[:, 1]) <= PLACE_WITHIN
         return Place([(self.nodes[m].beams, rel[p]) for p, m in enumerate(near) if inside[p]])
 
     def close(self, k: int, i: int, match: Matched) -> None:
@@ -205,11 +209,7 @@ class KeyframeGraph:
         later = [self.nodes[i] for _, i in steps]
         covs = np.array(
             [
-                self.segments.covariance(node.step)
-                if i in self.contradicted
-                else LOOSE
-                if i in self.loose
-                else node.cov
+                border_covariance(node.step) if i in self.contradicted else LOOSE if i in self.loose else node.cov
                 for node, (_, i) in zip(later, steps, strict=True)
             ]
         ).reshape(-1, 3, 3)
@@ -233,7 +233,7 @@ class KeyframeGraph:
             robots = [self.nodes[i].robot for i in first]
             sd = np.array([[c.start_xy, c.start_xy, c.start_turn] if j else [EXACT] * 3 for j in robots])
             starts = (np.array(first), self.starts[robots], sd)
-            self.solved = Solved.of(problem(steps, closed, starts, c.closures.kernel))
+            self.solved = Solved.of(problem(steps, closed, starts, CLOSURE_KERNEL))
             self.pose = np.array(self.solved.pose)
             if not self._drop_worst(closed):
                 break
@@ -357,7 +357,7 @@ class KeyframeGraph:
 
         dropped: which places do not hold as long as every step does. Over each step lies a weak one that holds always.
         """
-        weak = np.array([np.linalg.inv(self.segments.covariance(step)) for step in steps.measured])
+        weak = np.array([np.linalg.inv(border_covariance(step)) for step in steps.measured])
         sure = [k for k, i in enumerate(steps.second.tolist()) if not self.nodes[i].border]
         both = PoseGraph(steps.pose, steps.first, steps.second, steps.measured, weak).joined(
             PoseGraph(steps.pose, steps.first[sure], steps.second[sure], steps.measured[sure], steps.information[sure])
@@ -387,8 +387,7 @@ class KeyframeGraph:
     @property
     def jitter(self) -> Float[np.ndarray, "3 3"]:
         """Covariance of a single scan's match, which no step tells."""
-        noise = self.cfg.keyframes.noise
-        return np.diag(np.square([noise.jitter_xy, noise.jitter_xy, noise.jitter_turn]))
+        return np.diag(np.square([JITTER_XY, JITTER_XY, JITTER_TURN]))
 
     def graph(self) -> PoseGraph:
         """Keyframes, steps and accepted closures."""
@@ -400,7 +399,7 @@ class KeyframeGraph:
             return False
         squares = edge_factor(closed, "closures").squares(self.pose.ravel())
         worst = int(np.argmax(squares))
-        if squares[worst] <= self.cfg.closures.contradiction:
+        if squares[worst] <= CLOSURE_CONTRADICTION:
             return False
         at = [p for p, c in enumerate(self.closures) if c.accepted][worst]
         reason = f"it contradicts the other measurements by {np.sqrt(squares[worst]):.1f} standard deviations"

@@ -71,22 +71,22 @@ def choose_feature(log: LaserLog, cfg: LaserConfig) -> Feature:
     if cfg.feature == "none":
         return Feature("none", None)
     returns = [beams(scan, "none", None, cfg.beam) for scan in log.scans] if log.has_intensity else []
-    if why := _no_light(returns, cfg):
+    if why := _no_light(returns):
         return Feature("none", None, (Finding("light-unused", value=why),))
     if cfg.feature == "raw":
         return Feature("raw", raw_scale(returns))
     tried: list[Feature] = []
     for way in ways(log, returns, calibrating(len(log.scans)), cfg):
-        tried.append(_calibrated(returns, way, cfg))
+        tried.append(_calibrated(returns, way))
         if tried[-1].name != "none":
             return tried[-1]
     return tried[0]
 
 
-def _no_light(returns: Sequence[Beams], cfg: LaserConfig) -> str:
+def _no_light(returns: Sequence[Beams]) -> str:
     """Why the returns cannot tell anything by their light; empty where they might."""
     light = np.concatenate([b.intensity for b in returns]) if returns else np.zeros(0)
-    with_light = measured(light, cfg.beam)
+    with_light = measured(light)
     if not with_light.any():
         return "the log has none"
     if np.ptp(light[with_light]) <= 1e-9 * float(np.abs(light).max()):
@@ -125,11 +125,11 @@ def ways(
         yield rows, np.concatenate(poses)
 
 
-def _calibrated(returns: Sequence[Beams], way: tuple[list[int], Float[np.ndarray, "k 3"]], cfg: LaserConfig) -> Feature:
+def _calibrated(returns: Sequence[Beams], way: tuple[list[int], Float[np.ndarray, "k 3"]]) -> Feature:
     """Light as it is along a way, and `none` with the reason where it tells nothing."""
     rows, poses = way
     scans = [returns[k] for k in rows]
-    found = calibrated(scans, poses, cfg.calibration)
+    found = calibrated(scans, poses)
     if found is None:
         return Feature("none", None, (Finding("light-unused", value="no place was seen twice to calibrate it"),))
     calibration = found.whole
@@ -299,7 +299,7 @@ def _found(
     found = calibrate_odometry(log, sensor_poses(mapped.scans.pose, scans), cfg.beam)
     if found is None:
         return None
-    found = replace(found, applied=before | found.worth(cfg.odometry, stated=is_stated(log)))
+    found = replace(found, applied=before | found.worth(stated=is_stated(log)))
     return found.usual(log.scans[0].T_robot_sensor)
 
 
@@ -340,11 +340,11 @@ def map_session(
     track, dead = result.track, result.dead_reckoning
     if graph is not None and dead is not None and any(graph.border):
         clean, dead = bridged(clean, graph, track, dead)
-    agreement = motion_agreement(result.scans.pose, clean.scans, session.cfg.beam, session.cfg.motion)
-    robot, motion = log.robot, session.cfg.motion
+    agreement = motion_agreement(result.scans.pose, clean.scans, session.cfg.beam)
+    robot = log.robot
     timed = not any(found.code in {"stamps-none", "stamps-equal"} for found in log.findings)
     heading = np.unwrap(result.scans.pose[:, 2])
-    lag = stamp_lag(log.scan_t, heading, clean.odometry, session.cfg.lag) if timed else None
+    lag = stamp_lag(log.scan_t, heading, clean.odometry) if timed else None
     disagreement = (
         *lag_found(lag, robot),
         *_placed_again(jumps(result.scans, log.scans, robot), graph),
@@ -352,7 +352,7 @@ def map_session(
         *wheels_stand(track, dead, robot),
         *wheels_leap(log.scan_t, log.scans, robot, segments=graph is not None),
     )
-    measured = agreement.findings(robot, motion)
+    measured = agreement.findings(robot)
     if not any(f.code in {"wheels-scale", "wheels-unlike"} for f in (*measured, *result.findings)):
         measured = (*measured, *wheels_unlike(track, dead, robot))
     moving_returns = {"return of something that moves": session.moving.count} if session.moving.count else {}

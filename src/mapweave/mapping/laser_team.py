@@ -18,6 +18,9 @@ from ..laser.pose_graph import PoseGraph
 from .config import LaserTeamConfig
 from .keyframe_graph import KeyframeGraph
 
+RESOLVE_INNOVATION = 2.0  # [sd] by which a closure moves a pose for the graph to be solved anew
+OPEN_SHARE = 0.9  # share of the scanner's range that is free where a beam does not come back
+
 
 class LoopSearch:
     """Keyframes wait here until they are matched against old places, a few at a time."""
@@ -50,7 +53,7 @@ class LoopSearch:
                 graph.close(k, i, match)
                 if match.accepted:
                     distance2 = match.innovation @ np.linalg.solve(cov + 1e-12 * np.eye(3), match.innovation)
-                    graph.due |= bool(distance2 > graph.cfg.resolve_innovation**2)
+                    graph.due |= bool(distance2 > RESOLVE_INNOVATION**2)
 
     def candidates(self, graph: KeyframeGraph, i: int) -> list[int]:
         """Solved keyframes near in the estimate, one a chain (another robot, or this one long ago), nearest first."""
@@ -214,7 +217,7 @@ class LaserTeam:
 
     def _open_ends(self, scan: Scan) -> np.ndarray:
         """(m, 2) how far the beams that did not come back are free, in the robot frame [m]."""
-        far = self.cfg.open_share * min(scan.range_max, self.cfg.beams.greatest_range)
+        far = OPEN_SHARE * min(scan.range_max, self.cfg.beams.greatest_range)
         silent = ~scan.hit & (scan.ranges >= scan.range_max)
         angle = scan.angles()[silent]
         ends = far * np.column_stack([np.cos(angle), np.sin(angle)])

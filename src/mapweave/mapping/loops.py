@@ -8,7 +8,7 @@ import numpy as np
 from ..core import se2
 from .keyframe_graph import KeyframeGraph
 from .places import PlaceIndex, PlaceMatch, PlaceSearchConfig
-from .submaps import TURN_WAY, PlaceSubmapConfig, extent, make_submap, middles
+from .submaps import SUBMAP_AROUND, SUBMAP_EVERY, TURN_WAY, extent, make_submap, middles
 
 # what will do of a submap in the one before it, over a border between segments: correlation of headings, likelihood,
 # share of points on walls, points that hold it, another place as likely if it is not where the step over it may lead
@@ -32,7 +32,6 @@ class LoopFinder:
     the latest segment begins with; made: how many submaps it has so far.
     """
 
-    cfg: PlaceSubmapConfig
     index: PlaceIndex
     light: bool = False
     anchors: list[int] = field(default_factory=list)
@@ -53,7 +52,7 @@ class LoopFinder:
         self.way.append((self.way[-1] if i else 0.0) + float(np.hypot(step[0], step[1]) + TURN_WAY * abs(step[2])))
         if node.border:
             self.segment, self.made = i, 0
-        return found + self._complete(graph, self.way[i] - self.cfg.around)
+        return found + self._complete(graph, self.way[i] - SUBMAP_AROUND)
 
     def finish(self, graph: KeyframeGraph) -> list[Loop]:
         """The segment has ended with the keyframes there are: what is found of its last submaps."""
@@ -61,19 +60,19 @@ class LoopFinder:
 
     def _complete(self, graph: KeyframeGraph, until: float) -> list[Loop]:
         """The submaps whose middle lies up to `until` [m] of way, made and searched for."""
-        c, way = self.cfg, np.array(self.way[self.segment :])
-        if not len(way) or until < way[0] + (self.made + 0.5) * c.every:
+        way = np.array(self.way[self.segment :])
+        if not len(way) or until < way[0] + (self.made + 0.5) * SUBMAP_EVERY:
             return []
         found = []
-        for at in middles(way, c)[self.made :]:
+        for at in middles(way)[self.made :]:
             if way[at] > until:
                 break
             self.made += 1
-            low, high = extent(way, at, c)
+            low, high = extent(way, at)
             first, nodes = self.segment + low, graph.nodes[self.segment + low : self.segment + high + 1]
             q = [node.beams.q for node in nodes] if self.light else None
             poses = np.array([node.local for node in nodes])
-            new = make_submap(self.segment + at, first, poses, [node.beams.s for node in nodes], q, c)
+            new = make_submap(self.segment + at, first, poses, [node.beams.s for node in nodes], q)
             if new is not None:
                 old = [k for k, anchor in enumerate(self.anchors) if self._apart(anchor, first)]
                 number = self.index.add(new)
@@ -106,7 +105,7 @@ class LoopFinder:
 
     def _apart(self, anchor: int, first: int) -> bool:
         """Whether an old submap shares no way with one that begins with keyframe `first`."""
-        return anchor < self.segment or self.way[first] - self.way[anchor] > self.cfg.around
+        return anchor < self.segment or self.way[first] - self.way[anchor] > SUBMAP_AROUND
 
     def forget(self, first: int, last: int) -> None:
         """Keyframes `first` to `last` left the graph; those after them have other numbers."""

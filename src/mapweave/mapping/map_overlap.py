@@ -20,7 +20,17 @@ from ..kernels.laser.place_refine import fit_normals
 from ..kernels.mapping.views import judge_walls
 from ..laser.robot_graph import RobotGraph
 from ..laser.submaps import gathered
-from .submaps import PlaceSubmap, PlaceSubmapConfig, extent, make_submap, middles, way_of
+from .submaps import PlaceSubmap, extent, make_submap, middles, way_of
+
+VIEW_REACH = 8.0  # [m] views are compared up to
+VIEW_THROUGH = 0.4  # [m] by which a view goes on behind a wall that was seen through
+SAME_WALL = 0.2  # [m] and
+SAME_WALL_SHARE = 0.02  # [m/m] of its range, within which a wall of the view is the same wall
+CLOSE = 0.6  # [m] from its walls a point seen through may be a wall of a bent map
+COARSE_POINTS = 0.2  # [m] between the points of walls that are compared
+WALL_LINE = 0.5  # [m] points this near make a line,
+WALL_THICK = 0.3  # which may be so thick, of its length, to have a side
+SIDED = 0.2  # cosine from which on a wall was seen from that side
 
 OFTEN = 3  # views that show a wall, and that go through it: neither was somebody who walked by
 PATCH, BESIDE = 1.5, 0.45  # [m] wide at least are walls drawn twice, of points this near: doors and people are not
@@ -36,16 +46,7 @@ class OverlapConfig:
     """When one robot's views and another's walls agree under a transform, and when they contradict each other."""
 
     views: int = 60  # keyframes whose views are asked, at most
-    reach: float = 8.0  # [m] views are compared up to
-    through: float = 0.4  # [m] by which a view goes on behind a wall that was seen through
-    same: float = 0.2  # [m] and, of its range,
-    same_share: float = 0.02  # [m/m] within which a wall of the view is the same wall
-    close: float = 0.6  # [m] from its walls a point seen through may be a wall of a bent map
     wall: float = 0.2  # [m] within which walls overlap
-    coarse: float = 0.2  # [m] between the points of walls that are compared
-    line: float = 0.5  # [m] points this near make a line,
-    thick: float = 0.3  # which may be so thick, of its length, to have a side
-    sided: float = 0.2  # cosine from which on a wall was seen from that side
     lit: int = 150  # points of walls that meet, at least, whose brightness is compared,
     uneven: float = 0.05  # and the standard deviation of their brightness, at least
 
@@ -89,12 +90,12 @@ class KeyframeMap:
             raise DataError(f"map of {self.robot}: {len(self.pose)} keyframes and points of {len(self.points)}")
         steps = np.hypot(*np.diff(self.pose[:, :2], axis=0).T) if len(self.pose) > 1 else np.zeros(0)
         object.__setattr__(self, "path", frozen(np.concatenate([[0.0], np.cumsum(steps)])))
-        cloud, q = self.cloud(self.cfg.coarse, self.q)
+        cloud, q = self.cloud(COARSE_POINTS, self.q)
         object.__setattr__(self, "walls", frozen(cloud))
         object.__setattr__(self, "walls_q", None if q is None else frozen(q))
         object.__setattr__(self, "walls_side", frozen(self._sides()))
         object.__setattr__(self, "views", frozen(self._views()))
-        object.__setattr__(self, "submaps", tuple(self._submaps(PlaceSubmapConfig())))
+        object.__setattr__(self, "submaps", tuple(self._submaps()))
         same, through = _judged(self, self.walls, self.walls_side, self.cfg)
         seen, both = np.maximum(same, through) >= OFTEN, np.minimum(same, through) >= OFTEN
         lined = (self.walls_side != 0.0).any(axis=1)  # legs of tables and chairs are not
@@ -113,27 +114,26 @@ class KeyframeMap:
         """All points in the map's frame, one in a square of side `voxel` [m], and the mean of `values` there."""
         return gathered(self.pose, self.points, range(len(self.pose)), np.zeros(3), voxel, values)
 
-    def _submaps(self, cfg: PlaceSubmapConfig) -> list[PlaceSubmap]:
+    def _submaps(self) -> list[PlaceSubmap]:
         starts = [0, *(k for k, why in enumerate(self.border) if why and k), len(self.pose)]
         out = []
         for start, end in pairwise(starts):
             way = way_of(self.pose[start:end])
-            for anchor in middles(way, cfg):
-                low, high = extent(way, anchor, cfg)
+            for anchor in middles(way):
+                low, high = extent(way, anchor)
                 rows = slice(start + low, start + high + 1)
                 q = None if self.q is None else self.q[rows]
-                new = make_submap(start + anchor, start + low, self.pose[rows], self.points[rows], q, cfg)
+                new = make_submap(start + anchor, start + low, self.pose[rows], self.points[rows], q)
                 out += [] if new is None else [new]
         return out
 
     def _sides(self) -> Float[np.ndarray, "w 2"]:
-        cfg = self.cfg
         home = [-p / np.maximum(np.hypot(*p.T), 1e-9)[:, None] for p in self.points]
         back = [u @ se2.rotation(float(pose[2])).T for u, pose in zip(home, self.pose, strict=True)]
-        seen = [self.cloud(cfg.coarse, [u[:, k] for u in back])[1] for k in range(2)]
-        lines = fit_normals(self.walls, cfg.line)
+        seen = [self.cloud(COARSE_POINTS, [u[:, k] for u in back])[1] for k in range(2)]
+        lines = fit_normals(self.walls, WALL_LINE)
         facing = sum(lines[:, k] * np.asarray(seen[k]) for k in range(2))
-        sided = (np.abs(facing) > cfg.sided) & (lines[:, 2] < cfg.thick)
+        sided = (np.abs(facing) > SIDED) & (lines[:, 2] < WALL_THICK)
         return np.asarray(lines[:, :2] * (np.sign(facing) * sided)[:, None])
 
     def _views(self) -> Float[np.ndarray, "n bins"]:
@@ -199,7 +199,7 @@ def _views_of_walls(a: KeyframeMap, b: KeyframeMap, transform: np.ndarray, cfg: 
     same, through = _judged(a, walls, b.walls_side @ se2.rotation(float(transform[2])).T, cfg)
     judged = same + through > 0
     unlike = walls[judged & (same < through)]
-    away = unlike[np.asarray(cKDTree(a.walls).query(unlike)[0]) > cfg.close] if len(unlike) else unlike
+    away = unlike[np.asarray(cKDTree(a.walls).query(unlike)[0]) > CLOSE] if len(unlike) else unlike
     alike = int(judged.sum()) - len(unlike)
     clear, walled = (alike / max(alike + count, 1) for count in (len(away), int(_patched(away).sum())))
     return SeenAlike(alike, len(unlike), clear, walled)
@@ -215,10 +215,10 @@ def _judged(
     """
     if not len(walls):
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    around = np.asarray(cKDTree(walls).query_ball_point(a.pose[:, :2], cfg.reach, return_length=True))
+    around = np.asarray(cKDTree(walls).query_ball_point(a.pose[:, :2], VIEW_REACH, return_length=True))
     near = np.flatnonzero(around > FEW)
     near = near[spread(len(near), cfg.views)]
-    args = cfg.reach, cfg.same, cfg.same_share, cfg.through, cfg.sided
+    args = VIEW_REACH, SAME_WALL, SAME_WALL_SHARE, VIEW_THROUGH, SIDED
     return judge_walls(a.pose[near], a.views[near], np.ascontiguousarray(walls), np.ascontiguousarray(side), *args)
 
 

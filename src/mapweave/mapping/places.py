@@ -29,6 +29,9 @@ from ..laser.consistency import adjoint
 from ..laser.place_search import Q_LEVELS, LikelihoodField, PlaceConfig, brightness, inliers, likelihood_field
 from .submaps import BINS, PlaceSubmap
 
+MOST_RATIO = 0.9  # of the score that another place may have
+MOST_MOVED = 0.6  # [m] that may lie between where it was found and where it was laid
+
 HEADINGS = 4  # tried of a pair, at most,
 HEADINGS_APART = 8  # [bins] between them,
 HEADING_SHARE = 0.3  # of the likeliest one's correlation at least
@@ -45,7 +48,7 @@ LIT_LEAST = 0.85  # correlation of light where a submap lies, at least, and
 LIT_MARGIN = 0.1  # more of it than anywhere else
 LIT_SD = 0.05  # [m] of where along its walls light puts a submap
 ACROSS = 0.1  # [m] step and smoothing of how far walls of one direction lie to the side
-FIELD = PlaceConfig(cell=0.2, sigma=0.2, q_weight=0.4, widths=GATES, gate=0.5, inlier=0.15, line_reach=0.2)
+FIELD = PlaceConfig(cell=0.2, sigma=0.2, q_weight=0.4, widths=GATES, gate=0.5, inlier=0.15)
 
 
 @config
@@ -55,10 +58,8 @@ class PlaceSearchConfig:
     reach: float = 12.0  # [m] between the anchors of two submaps of one place, at most
     least_heading: float = 0.35  # correlation of the directions of walls: less, and the pair is not looked at
     least_score: float = 0.55  # share of a perfect fit's likelihood
-    most_ratio: float = 0.9  # of it that another place may have
     least_share: float = 0.6  # of the points must lie on walls once laid onto them,
     least_held: float = 40.0  # points must hold the weakest direction, and
-    most_moved: float = 0.6  # [m] may lie between where it was found and where it was laid
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,9 +259,7 @@ class PlaceIndex:
         share = float(inliers(place, points, pose).mean())
         moved = float(np.hypot(*(pose[:2] - start[:2])))
         score, second = float(row[3]), float(row[7] if lies is None else lies[1] * row[3])
-        alone = (
-            lies is not None or second <= c.most_ratio * score or (lit and 1.0 - score <= LIT_MISFIT * (1.0 - second))
-        )
+        alone = lies is not None or second <= MOST_RATIO * score or (lit and 1.0 - score <= LIT_MISFIT * (1.0 - second))
         held = lies is not None or values[0] >= c.least_held
         information = TEMPER * H / max(NOISE**2, mean2) + np.diag([0.1, 0.1, 1.0])
         covariance = symmetrise(np.linalg.inv(information)) + np.diag(np.square([FLOOR, FLOOR, FLOOR_TURN]))
@@ -277,7 +276,7 @@ class PlaceIndex:
             share=share,
             held=(max(float(values[0]), 0.0), float(values[1])),
             weak=vectors[:, 0],
-            clear=bool(alone and held and share >= c.least_share and moved <= c.most_moved),
+            clear=bool(alone and held and share >= c.least_share and moved <= MOST_MOVED),
         )
 
 

@@ -13,12 +13,19 @@ from jaxtyping import Float, Int
 from scipy.sparse.csgraph import connected_components
 
 from ..core import se2
-from ..core.config import config
 from ..core.findings import Finding
 from ..core.laser_log import LaserLog
 from ..core.records import Track, frozen
 from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import ScanInfo
+
+SEGMENT_LEAST_SHARE = 0.5  # of the returns that match: fewer, and a match must lie where wheels put it
+OFF_XY = 0.25  # [m] and
+OFF_TURN = 0.2  # [rad] from where wheels put a match of few returns, at most
+JUMP_XY = 1.0  # [m] and
+JUMP_TURN = 1.0  # [rad] from where wheels put it, whatever matches
+WEAK_XY = 1.0  # [m] and
+WEAK_TURN = 0.5  # [rad] sd of a step over a border
 
 LEARNED = 20  # scans from which on it is known how far apart they are
 PAUSE, PAUSE_TIMES = 5.0, 8.0  # [s] between two scans, and times the usual: a pause
@@ -42,32 +49,19 @@ BENT, BENT_SDS = 0.5, 5.5  # by more than this [m], and so many standard deviati
 LONG = 3.0  # [m] of way from which on it matters that a piece shares no place with what came before
 
 
-@config
-class SegmentConfig:
-    """When the step between two scans is not sure, and what is believed of it then."""
-
-    least_share: float = 0.5  # of the returns that match: fewer, and a match must lie where wheels put it
-    off_xy: float = 0.25  # [m] and
-    off_turn: float = 0.2  # [rad] from there at most
-    jump_xy: float = 1.0  # [m] and
-    jump_turn: float = 1.0  # [rad] from where wheels put it, whatever matches
-    weak_xy: float = 1.0  # [m] and
-    weak_turn: float = 0.5  # [rad] sd of a step over a border
-
-    def covariance(self, step: Float[np.ndarray, "3"], why: str = "") -> Float[np.ndarray, "3 3"]:
-        """Of a step over a border, over x, y, theta. why: there is one; wheels go on over a gap."""
-        way = float(np.hypot(step[0], step[1]))
-        if why == GAP:
-            return np.diag(np.square([max(0.5 * self.weak_xy, DRIVEN * way)] * 2 + [0.5 * self.weak_turn]))
-        xy = max(self.weak_xy, WIDE * way)
-        return np.diag(np.square([xy, xy, max(self.weak_turn, WIDE * abs(float(step[2])))]))
+def border_covariance(step: Float[np.ndarray, "3"], why: str = "") -> Float[np.ndarray, "3 3"]:
+    """Of a step over a border, over x, y, theta. why: there is one; wheels go on over a gap."""
+    way = float(np.hypot(step[0], step[1]))
+    if why == GAP:
+        return np.diag(np.square([max(0.5 * WEAK_XY, DRIVEN * way)] * 2 + [0.5 * WEAK_TURN]))
+    xy = max(WEAK_XY, WIDE * way)
+    return np.diag(np.square([xy, xy, max(WEAK_TURN, WIDE * abs(float(step[2])))]))
 
 
 class Borders:
     """Which of the scans of one robot, as they come, begin a new segment. `seen` changes it."""
 
-    def __init__(self, cfg: SegmentConfig) -> None:
-        self.cfg = cfg
+    def __init__(self) -> None:
         self._t = np.nan
         self._apart: list[float] = []
         self._wheels: np.ndarray | None = None
@@ -112,19 +106,17 @@ class Borders:
 
     def _went_on(self, info: ScanInfo, size: Float[np.ndarray, "2"]) -> bool:
         """Whether a pause hid nothing: as little way as between any two scans, and the match is where wheels say."""
-        c = self.cfg
         usual = bool((size <= np.quantile(self._steps, USUAL, axis=0)).all())
         off = np.abs([np.hypot(*info.innovation[:2]), se2.wrap_angle(info.innovation[2])])
-        return usual and info.matches >= c.least_share * info.beams and bool((off <= [c.off_xy, c.off_turn]).all())
+        return usual and info.matches >= SEGMENT_LEAST_SHARE * info.beams and bool((off <= [OFF_XY, OFF_TURN]).all())
 
     def _contradicted(self, info: ScanInfo) -> str:
         """Why a match is not believed that lies elsewhere than wheels put it."""
-        c = self.cfg
         off, turned = float(np.hypot(*info.innovation[:2])), abs(float(se2.wrap_angle(info.innovation[2])))
-        if off > c.jump_xy or turned > c.jump_turn:
+        if off > JUMP_XY or turned > JUMP_TURN:
             return JUMP
-        few = info.matches < c.least_share * info.beams
-        return SLIP if few and (off > c.off_xy or turned > c.off_turn) else ""
+        few = info.matches < SEGMENT_LEAST_SHARE * info.beams
+        return SLIP if few and (off > OFF_XY or turned > OFF_TURN) else ""
 
 
 def pieces_of(graph: RobotGraph) -> list[Int[np.ndarray, " k"]]:

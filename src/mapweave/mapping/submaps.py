@@ -11,10 +11,14 @@ import numpy as np
 from jaxtyping import Complex, Float, Int
 
 from ..core import se2
-from ..core.config import config
 from ..core.records import frozen
 from ..core.rows import spread
 from ..kernels.laser.place_refine import fit_normals
+
+SUBMAP_EVERY = 3.0  # [m] of way between the middles of submaps
+SUBMAP_AROUND = 3.0  # [m] of way to either side that a submap is made of
+SUBMAP_REACH = 20.0  # [m] farther returns are left out
+SUBMAP_POINTS = 400  # of a submap that are searched for elsewhere, at most
 
 BINS = 360  # directions of the signature of walls
 SMOOTH = 2.0  # [bins] by which it is smoothed
@@ -22,16 +26,6 @@ VOXEL = 0.1  # [m] a side: one point of a submap
 LINE = 0.2  # [m] points this near make a wall's line
 TURN_WAY = 0.3  # [m] of way that a radian of turning counts as
 LEAST_POINTS = 30  # of a submap
-
-
-@config
-class PlaceSubmapConfig:
-    """How long a piece of way makes a submap, and how far its returns reach."""
-
-    every: float = 3.0  # [m] of way between the middles of submaps
-    around: float = 3.0  # [m] of way to either side that a submap is made of
-    reach: float = 20.0  # [m] farther returns are left out
-    points: int = 400  # of a submap that are searched for elsewhere, at most
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,17 +56,18 @@ def way_of(local: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
     return np.concatenate([np.zeros(min(len(local), 1)), np.cumsum(each)])
 
 
-def middles(way: Float[np.ndarray, " n"], cfg: PlaceSubmapConfig) -> list[int]:
+def middles(way: Float[np.ndarray, " n"]) -> list[int]:
     """The keyframes of one segment that submaps are made around: one every so many metres of its way, one at least."""
     length = float(way[-1] - way[0])
-    asked = np.arange(0.5 * cfg.every, length, cfg.every) if length > 0.5 * cfg.every else np.array([0.5 * length])
+    half = 0.5 * SUBMAP_EVERY
+    asked = np.arange(half, length, SUBMAP_EVERY) if length > half else np.array([0.5 * length])
     return sorted({int(np.argmin(np.abs(way - way[0] - at))) for at in asked})
 
 
-def extent(way: Float[np.ndarray, " n"], anchor: int, cfg: PlaceSubmapConfig) -> tuple[int, int]:
+def extent(way: Float[np.ndarray, " n"], anchor: int) -> tuple[int, int]:
     """The first and the last keyframe of one segment that the submap around `anchor` is made of."""
-    low = int(np.searchsorted(way, way[anchor] - cfg.around))
-    return low, int(np.searchsorted(way, way[anchor] + cfg.around, side="right")) - 1
+    low = int(np.searchsorted(way, way[anchor] - SUBMAP_AROUND))
+    return low, int(np.searchsorted(way, way[anchor] + SUBMAP_AROUND, side="right")) - 1
 
 
 def make_submap(
@@ -81,7 +76,6 @@ def make_submap(
     poses: Float[np.ndarray, "k 3"],
     points: Sequence[Float[np.ndarray, "_ 2"]],
     q: Sequence[Float[np.ndarray, " _"]] | None,
-    cfg: PlaceSubmapConfig,
 ) -> PlaceSubmap | None:
     """The submap of k keyframes, `first` and those after it, in the frame of keyframe `anchor`.
 
@@ -91,7 +85,7 @@ def make_submap(
     seen, facing, light = [], [], []
     for k, pose in enumerate(se2.between(poses[anchor - first], poses)):
         far = np.hypot(points[k][:, 0], points[k][:, 1])
-        near = far < cfg.reach
+        near = far < SUBMAP_REACH
         back = -points[k][near] / np.maximum(far[near], VOXEL)[:, None]
         seen.append(se2.act(pose, points[k][near]))
         facing.append(back @ se2.rotation(float(pose[2])).T)
@@ -101,7 +95,7 @@ def make_submap(
     if len(cloud) < LEAST_POINTS:
         return None
     last = first + len(poses) - 1
-    return PlaceSubmap(anchor, first, last, cloud, bright, spread(len(cloud), cfg.points), signature(cloud, sums))
+    return PlaceSubmap(anchor, first, last, cloud, bright, spread(len(cloud), SUBMAP_POINTS), signature(cloud, sums))
 
 
 def _thinned(

@@ -11,6 +11,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from ..core.walls import Walls
+from ..exploration.laser.config import WALL_TOLERANCE
 from ..exploration.laser.experiment import LaserExploreResult, LaserRunRecord, MapSnapshot, refusals
 from ..laser.occupancy import Occupancy
 from .exploration import laser_exploration_scene, rendered, save_gif, seeds_told
@@ -235,10 +236,10 @@ def write_laser_exploration(folder: Path, result: LaserExploreResult) -> None:
     page.section("How good the map is")
     page.figure(
         figures / "walls.png",
-        f"Walls that can be seen, in the map within {m.cfg.tolerance:g} m or missed; cells of the map that are no wall",
+        f"Walls that can be seen, in the map within {WALL_TOLERANCE:g} m or missed; cells of the map that are no wall",
         draw_walls,
         first,
-        m.cfg.tolerance,
+        WALL_TOLERANCE,
     )
     scene.draw(figures / "closures.png", hidden=("truth",))
     page.figure(figures / "closures.png", "Loops closed, and closures tried and refused")

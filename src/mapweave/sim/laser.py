@@ -17,7 +17,12 @@ from ..core.se2 import representable_heading
 from ..core.walls import Walls
 from ..kernels.walls.raycast import cast
 
+DOOR_PAINT = (0.2, 0.45)  # reflectance of doors, between which each has its own
+SCALE_LENGTH = 15.0  # [m] over which the scale error is correlated
+
 SHINE = 30.0  # exponent of the cosine for light from surfaces hit squarely
+WHITE = 40000.0  # intensity of white paint hit squarely from nearby: `gain` of the law
+RANGE_STEP = 0.001  # [m] ranges are rounded to
 BEAMS_ALIKE = 6.0  # [degrees] of neighbouring beams whose own gain is alike
 MOTTLE_LENGTH = 0.5  # [m] of a piece of paint
 DOOR_SHARE = 0.4  # of the objects on a wall; the others are posters
@@ -34,7 +39,6 @@ class Reflectance:
     them by their logarithms and outside as at the ends, in place of `gain` and `falloff`.
     """
 
-    gain: float = 40000.0  # intensity of white paint hit squarely from nearby
     falloff: float = 1.5  # [m] at which the light has halved
     exponent: float = 1.0  # of the cosine of incidence
     specular: float = 0.0  # share of light from surfaces hit squarely
@@ -50,7 +54,7 @@ class Reflectance:
         """What white paint hit squarely returns from ranges r [m]."""
         if self.ranges:
             return np.asarray(np.exp(np.interp(np.log(r), np.log(self.ranges), np.log(self.light))))
-        return np.asarray(self.gain / (1.0 + (r / self.falloff) ** 2))
+        return np.asarray(WHITE / (1.0 + (r / self.falloff) ** 2))
 
 
 SECOND_LAW = Reflectance(falloff=2.6, exponent=0.6, specular=0.25)
@@ -90,7 +94,6 @@ class Scanner:
     far: float = 5.6  # [m] farthest range measured
     noise: float = 0.005  # [m], at least
     relative_noise: float = 0.01  # standard deviation, as a share of the range
-    step: float = 0.001  # [m] ranges are rounded to
 
     def angles(self) -> Float[np.ndarray, " n"]:
         """Beam directions as a receiver of the message works them out (32-bit first beam and step)."""
@@ -124,7 +127,7 @@ def measure(
     seen = what >= 0
     r = np.where(seen, true_range, scanner.far)
     sigma = np.maximum(scanner.noise, scanner.relative_noise * r)
-    said = np.round((r + sigma * noise[0]) / scanner.step) * scanner.step
+    said = np.round((r + sigma * noise[0]) / RANGE_STEP) * RANGE_STEP
     light = law.from_white(r) * (reflectance * cosine**law.exponent + law.specular * cosine**SHINE)
     if law.beams > 0.0:
         light = light * np.exp(law.beams * _alike(shape[1], BEAMS_ALIKE / np.degrees(scanner.angle_increment), rng))
@@ -153,14 +156,13 @@ class LaserWorld(Walls):
     name: str = "world"
 
 
-@config
+@dataclass(frozen=True, slots=True, kw_only=True)
 class WallStyle:
     """Paint with objects on it: gaps of paint, then a door or a poster, then paint again."""
 
     gap: tuple[float, float] = (0.8, 3.5)  # [m] of paint between objects
     paint: float = 0.6
     mottle: float = 0.03  # relative spread of the paint from piece to piece
-    door: tuple[float, float] = (0.2, 0.45)
 
 
 class WorldBuilder:
@@ -210,7 +212,7 @@ class WorldBuilder:
         while True:
             start = at + rng.uniform(*style.gap)
             if rng.random() < DOOR_SHARE:
-                end, light, depth = start + DOOR_WIDTH, rng.uniform(*style.door), recess
+                end, light, depth = start + DOOR_WIDTH, rng.uniform(*DOOR_PAINT), recess
             else:
                 end = start + rng.uniform(*POSTER_WIDTH)
                 light = rng.uniform(*(POSTER_DARK if rng.random() < 0.5 else POSTER_BRIGHT))
@@ -321,7 +323,6 @@ MOST_BIAS = np.radians(0.8)  # [rad/m]
 @config
 class DriftConfig:
     scale: float = 0.03  # standing deviation of the scale error, an Ornstein-Uhlenbeck process
-    scale_length: float = 15.0  # [m] over which it is correlated
     translation: float = 0.005  # [m per sqrt(m)]
     rotation: float = np.radians(0.3)  # [rad per sqrt(m)]
     end_error: tuple[float, float] | None = (15.0, 20.0)  # [m]; the heading bias is chosen for it; None: no bias
@@ -343,7 +344,7 @@ def drifted(
     scale = np.empty(n)
     now = cfg.scale * float(rng.standard_normal())
     for k in range(n):
-        keep = np.exp(-ds[k] / cfg.scale_length)
+        keep = np.exp(-ds[k] / SCALE_LENGTH)
         now = now * keep + cfg.scale * np.sqrt(max(0.0, 1 - keep * keep)) * shock[k]
         scale[k] = now
     root = np.sqrt(ds)

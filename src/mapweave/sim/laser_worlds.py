@@ -54,13 +54,12 @@ class CorridorConfig:
     distance: float = 200.0  # [m] driven
     corner: float = 1.2  # [m] radius of the driven corners
     start: float = 15.0  # [m] after the first corner of a long leg, where the drive begins
-    style: WallStyle = WallStyle()
     drive: DriveConfig = field(default_factory=DriveConfig)
 
 
 def corridor_world(cfg: CorridorConfig, seed: int) -> LaserWorld:
     """The walls, in the frame of the robot's first pose."""
-    build = WorldBuilder("corridor", cfg.style, stream(seed, "walls"))
+    build = WorldBuilder("corridor", WallStyle(), stream(seed, "walls"))
     half = 0.5 * cfg.width
     for side in (half, -half):  # the outer wall runs round to the left, the inner one to the right
         x0, y0, x1, y1 = -cfg.start - side, -side, cfg.long_leg - cfg.start + side, cfg.short_leg + side
@@ -127,6 +126,9 @@ def simulate_tunnel(cfg: TunnelConfig | None = None, seed: int = 0) -> LaserSimu
 DOORWAY = 1.0  # [m]
 
 
+OFFICE_STYLE = WallStyle(gap=(0.6, 2.0))
+
+
 @config
 class OfficeConfig:
     """An office floor to drive through with a laser: a corridor, rooms on either side, some of them visited."""
@@ -136,14 +138,13 @@ class OfficeConfig:
     room_depth: float = 4.5  # [m] away from it
     corridor: float = 2.2  # [m]
     visited: int = 5  # rooms driven into, at most all
-    style: WallStyle = WallStyle(gap=(0.6, 2.0))
     drive: DriveConfig = field(default_factory=lambda: DriveConfig(drift=DriftConfig(end_error=(2.0, 4.0))))
 
 
 def office_world(cfg: OfficeConfig, seed: int) -> LaserWorld:
     """The walls; the corridor runs along x with its middle on y = 0, the first room begins at x = 0."""
     rng = stream(seed, "walls")
-    build = WorldBuilder("office", cfg.style, rng)
+    build = WorldBuilder("office", OFFICE_STYLE, rng)
     half, length, far = 0.5 * cfg.corridor, cfg.rooms * cfg.room_width, 0.5 * cfg.corridor + cfg.room_depth
     build.wall((0.0, half), (0.0, -half))
     build.wall((length, -half), (length, half))
@@ -215,14 +216,8 @@ Box = tuple[float, float, float, float]  # x0 y0 x1 y1 [m]
 LEAST, GREATEST = 150.0, 20_000.0  # [m^2]
 SOLID, FREE, DESK = 0, 1, 2
 OUTSIDE = 5.0  # [m] of solid all round the building
+FLOOR_STYLE = WallStyle(gap=(0.6, 2.5))
 LEAST_GAP = 1.1  # [m] between pieces of furniture, where there is one
-
-
-@config
-class FloorConfig:
-    """Sizes of what a floor is made of [m], and how often."""
-
-    style: WallStyle = WallStyle(gap=(0.6, 2.5))
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,11 +234,11 @@ class OfficeFloor:
     pockets: Float[np.ndarray, "p 4"]
 
 
-def office_floor(area: float, seed: int, cfg: FloorConfig | None = None) -> OfficeFloor:
+def office_floor(area: float, seed: int) -> OfficeFloor:
     """A floor of `area` [m^2] outside, the same for the same seed. Raises DataError for an area that cannot be."""
     if not LEAST <= area <= GREATEST:
         raise DataError(f"an office of {area:g} m^2: expected {LEAST:g} to {GREATEST:g}")
-    plan = _Plan(cfg or FloorConfig(), area, stream(seed, "floor"))
+    plan = _Plan(area, stream(seed, "floor"))
     world = plan.walls(f"office-{area:g}", stream(seed, "walls"))
     boxes = [np.array(b, dtype=float).reshape(-1, 4) for b in (plan.rooms, plan.pockets)]
     return OfficeFloor(
@@ -255,7 +250,6 @@ def office_floor(area: float, seed: int, cfg: FloorConfig | None = None) -> Offi
 class _Plan:
     """Free boxes (corridors, rooms, doorways) and desks, laid out when it is made."""
 
-    cfg: FloorConfig
     area: float
     rng: np.random.Generator
     size: np.ndarray = field(init=False)
@@ -377,7 +371,7 @@ class _Plan:
 
     def walls(self, name: str, rng: np.random.Generator) -> LaserWorld:
         """The borders of what is free, painted; a desk has one shade all round. All that is not free is solid."""
-        build = WorldBuilder(name, self.cfg.style, rng)
+        build = WorldBuilder(name, FLOOR_STYLE, rng)
         desk_light = rng.uniform(0.2, 0.8, len(self.desks))
         free = [*self.corridors, *self.rooms, *self.doors]
         edges = np.round(np.array([*free, *self.desks, (0.0, 0.0, *self.size)]), 6)

@@ -11,7 +11,6 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Bool, Float, Int
 
-from ..core.config import config
 from ..core.gaussian import solve_psd, symmetrise
 from .information import Information, Pattern, SingularError
 from .problem import Problem, Retract, add
@@ -22,7 +21,7 @@ Vector = Float[np.ndarray, " n"]
 Normal = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, float]]
 
 
-@config
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SolveConfig:
     """damping: at the start, relative to the diagonal; 0 is Gauss-Newton, which takes every step as it comes."""
 

@@ -27,10 +27,11 @@ from .config import (
     ALTERNATIVES_MOST,
     ALTERNATIVES_SWAPS,
     ALTERNATIVES_UNLIKELY,
-    AlternativesConfig,
 )
 from .network import BearingNetwork
 from .result import SwarmEstimate
+
+ALTERNATIVE_ROUNDS = 3  # of steps from the most likely sets to their neighbours
 
 STEPS = 25  # of Levenberg-Marquardt for each hypothesis, at most
 SAME = 1e-3  # of the extent: two minima of one set of sightings that are one
@@ -63,12 +64,10 @@ class Hypotheses:
         )
 
 
-def doubts(
-    net: BearingNetwork, inlier: Bool[np.ndarray, " m"], estimate: SwarmEstimate, cfg: AlternativesConfig
-) -> Float[np.ndarray, " n"]:
+def doubts(net: BearingNetwork, inlier: Bool[np.ndarray, " m"], estimate: SwarmEstimate) -> Float[np.ndarray, " n"]:
     """(n,) probability that a robot stands outside the gate of its covariance; zero where that is not asked.
 
-    It is asked of networks of up to `cfg.most` sightings with a covariance and noise.
+    It is asked of networks of up to `ALTERNATIVES_MOST` sightings with a covariance and noise.
     """
     none = np.zeros(len(net))
     if estimate.cov is None or len(net.observer) > ALTERNATIVES_MOST or not np.any(net.sigma > 0):
@@ -78,7 +77,7 @@ def doubts(
     if len(held.anchors) < 1 or not free.any():
         return none
     try:
-        none[free] = _asked(_Dense.of(held, estimate), ~inlier, estimate, free, cfg)
+        none[free] = _asked(_Dense.of(held, estimate), ~inlier, estimate, free)
     except np.linalg.LinAlgError:  # a covariance that is none: nothing may be believed of it
         none[free] = 1.0
     return none
@@ -89,11 +88,10 @@ def _asked(
     wrong: Bool[np.ndarray, " m"],
     estimate: SwarmEstimate,
     free: Bool[np.ndarray, " n"],
-    cfg: AlternativesConfig,
 ) -> Float[np.ndarray, " k"]:
     """(k,) the doubt of the robots `free`."""
     net = problem.net
-    hypotheses = hypotheses_near(problem, wrong, cfg)
+    hypotheses = hypotheses_near(problem, wrong)
     w, d = factors.width(net), net.dim
     at = w * np.flatnonzero(free)[:, None] + np.arange(d)
     own = hypotheses.cov[0][at[:, :, None], at[:, None, :]] if estimate.gauge else np.asarray(estimate.cov)[free]
@@ -107,12 +105,12 @@ def _asked(
     return np.asarray((weight[:, None] * outside).sum(axis=0) / weight.sum())
 
 
-def hypotheses_near(problem: "_Dense", wrong: Bool[np.ndarray, " m"], cfg: AlternativesConfig) -> Hypotheses:
+def hypotheses_near(problem: "_Dense", wrong: Bool[np.ndarray, " m"]) -> Hypotheses:
     """The hypotheses near the one that calls the sightings `wrong` so, which comes first."""
     tried = {wrong.tobytes()}
     hypotheses = problem.solved(wrong[None, :])
     expanded: set[bytes] = set()
-    for _ in range(cfg.rounds):
+    for _ in range(ALTERNATIVE_ROUNDS):
         order = np.argsort(-hypotheses.evidence, kind="stable")
         first = [k for k in [0, *order.tolist()] if hypotheses.wrong[k].tobytes() not in expanded]
         parents: list[np.ndarray] = []

@@ -22,23 +22,6 @@ Method = Literal["batch", "robust", "distributed", "ekf", "iekf", "fej"]
 
 
 @config
-class AlternativesConfig:
-    """Method `robust`, small networks: other sets of wrong sightings, and how likely they put a robot elsewhere."""
-
-    rounds: int = 3  # of steps from the most likely sets to their neighbours
-
-
-@config
-class VerdictConfig:
-    """When an answer is doubted."""
-
-    many: float = 0.07  # share called wrong beyond which single sightings prove nothing: some wrong ones are not found
-
-
-VERDICT = VerdictConfig()
-
-
-@config
 class SwarmConfig:
     """covariance: per-robot blocks are computed; max_iterations: of Levenberg-Marquardt or the iterated filter."""
 
@@ -47,5 +30,3 @@ class SwarmConfig:
     max_iterations: int = 50  # of Levenberg-Marquardt or the iterated filter
     prior_sigma: float = 10.0  # [m] of the filters' first estimate, each coordinate: the paper's P0 = 100 I
     max_rounds: int = 20000  # of talking (distributed)
-    alternatives: AlternativesConfig = AlternativesConfig()
-    verdict: VerdictConfig = VerdictConfig()

@@ -9,11 +9,13 @@ from jaxtyping import Bool, Float, Int
 from ..core.gaussian import chi2_quantile
 from ..solve import Factor, Information, Pattern, Problem, SingularError, Solution, SolveStatus
 from . import bearing, factors
-from .config import VERDICT, SwarmConfig, VerdictConfig
+from .config import SwarmConfig
 from .network import BearingNetwork
 from .observability import Gauge, gauge_basis, normalise
 from .result import JointInformation, SwarmEstimate, SwarmStatus, Traffic
 from .start import SwarmStart, mutual_pairs
+
+VERDICT_MANY = 0.07  # share called wrong beyond which single sightings prove nothing: some wrong ones are not found
 
 VERDICT_DOUBT = 1e-3  # probability below which a chi-square is called wrong
 TOO_MANY = 0.25  # share called wrong beyond which nothing does
@@ -105,7 +107,7 @@ def _weighed(term: Factor, share: Float[np.ndarray, " m"]) -> Factor:
     return replace(term, sqrt_info=white * share[:, None])
 
 
-def trust_warnings(net: BearingNetwork, outlier: np.ndarray, cfg: VerdictConfig = VERDICT) -> list[str]:
+def trust_warnings(net: BearingNetwork, outlier: np.ndarray) -> list[str]:
     """What stands against trusting which sightings were called wrong."""
     beyond = share_warnings(outlier)
     if beyond:
@@ -113,7 +115,7 @@ def trust_warnings(net: BearingNetwork, outlier: np.ndarray, cfg: VerdictConfig 
     share = float(outlier.mean())
     share_text = f"{100 * share:.0f} % of the sightings were called wrong"
     single = 2 * len(mutual_pairs(net)[0]) < 0.5 * len(net.observer)
-    if share > cfg.many and single:
+    if share > VERDICT_MANY and single:
         return [f"{share_text}; where robots are not sighted from both ends the rest cannot be told from them"]
     return []
 

@@ -382,9 +382,9 @@ def robust(net: BearingNetwork, cfg: SwarmConfig, initial: np.ndarray | None = N
         start = prepare_at(chosen, estimate.position.ravel(), start)
         x = refine(chosen, start, cfg, everyone=True)[0].x
         inlier = agreeing(net, x, ROBUST_INLIER_GATE)
-    outside = alternatives(net, inlier, estimate, cfg.alternatives)
+    outside = alternatives(net, inlier, estimate)
     doubts += doubtful_warnings(net, outside, ALTERNATIVES_DOUBT)
-    doubts += [*trust_warnings(net, ~inlier, cfg.verdict), *support_warnings(net, unsupported(net, ~inlier))]
+    doubts += [*trust_warnings(net, ~inlier), *support_warnings(net, unsupported(net, ~inlier))]
     return replace(estimate, reliable=estimate.reliable and not doubts, warnings=(*doubts, *estimate.warnings))
 
 

@@ -8,6 +8,11 @@ from jaxtyping import Float
 from ..core.records import Odometry
 from .config import UNKNOWN_SLIP, UNKNOWN_SPEED, UNKNOWN_SPIN, MotionNoise
 
+MOTION_REST_XY = 1e-3  # [m / sqrt(s)] of wandering in place, always there
+MOTION_REST_THETA = 1e-3  # [rad / sqrt(s)] of the heading
+MOTION_LOST_XY = 0.06  # [m / sqrt(s)] of wandering while no command is known
+MOTION_LOST_THETA = 0.3  # [rad / sqrt(s)] of turning while no command is known
+
 SPEED, TURN, LAG = range(3)  # the order of derivatives by calibration
 
 
@@ -81,8 +86,8 @@ class CommandedMotion:
         )
         dt = np.diff(t)
         lost = np.maximum(dt - known, 0.0)
-        turn = cfg.drift**2 * way + cfg.turn**2 * angle + cfg.rest_theta**2 * dt + cfg.lost_theta**2 * lost
-        free = cfg.rest_xy**2 * dt + cfg.lost_xy**2 * lost
+        turn = cfg.drift**2 * way + cfg.turn**2 * angle + MOTION_REST_THETA**2 * dt + MOTION_LOST_THETA**2 * lost
+        free = MOTION_REST_XY**2 * dt + MOTION_LOST_XY**2 * lost
         Q = np.zeros((len(dt), 3, 3))
         Q[:, 0, 0] = cfg.along**2 * way + free
         Q[:, 1, 1] = cfg.across**2 * way + free + way**2 / 3 * turn
@@ -101,9 +106,7 @@ class CommandedMotion:
         return np.asarray(_before(f * self.dt)[k] + f[k] * part)
 
 
-def random_walk(
-    t: Float[np.ndarray, " n"], cfg: MotionNoise, keeps: Float[np.ndarray, " m"] | None = None
-) -> Float[np.ndarray, "m 3 3"]:
+def random_walk(t: Float[np.ndarray, " n"], keeps: Float[np.ndarray, " m"] | None = None) -> Float[np.ndarray, "m 3 3"]:
     """Covariances (n - 1, 3, 3) of the motion of a robot whose commands nobody knows: it may stand or drive.
 
     keeps: (n - 1,) [s] for how long it may keep its speed and turn rate, where that is longer than a step: steps that
@@ -112,9 +115,9 @@ def random_walk(
     dt = np.diff(t)
     together = dt * (dt if keeps is None else np.maximum(keeps, dt))
     Q = np.zeros((len(dt), 3, 3))
-    Q[:, 0, 0] = UNKNOWN_SPEED**2 * together + cfg.rest_xy**2 * dt
-    Q[:, 1, 1] = UNKNOWN_SLIP**2 * together + cfg.rest_xy**2 * dt
-    Q[:, 2, 2] = UNKNOWN_SPIN**2 * together + cfg.rest_theta**2 * dt
+    Q[:, 0, 0] = UNKNOWN_SPEED**2 * together + MOTION_REST_XY**2 * dt
+    Q[:, 1, 1] = UNKNOWN_SLIP**2 * together + MOTION_REST_XY**2 * dt
+    Q[:, 2, 2] = UNKNOWN_SPIN**2 * together + MOTION_REST_THETA**2 * dt
     return Q
 
 

@@ -8,6 +8,8 @@ from dataclasses import field
 from ..core.config import config
 from ..core.errors import ConfigError
 
+CLUSTER = 20.0  # [s] errors of one robot are taken to be independent after this long
+
 MOTION_NOISE_HOLD = 2.0  # [s] a command holds without a new one
 UNKNOWN_SPEED = 0.12  # [m/s] ahead, of a robot without odometry
 UNKNOWN_SLIP = 0.02  # [m/s] sideways, of a robot without odometry
@@ -51,10 +53,6 @@ class MotionNoise:
     across: float = 0.02  # [m / sqrt(m)] error sideways
     drift: float = 0.05  # [rad / sqrt(m)] error of heading over the distance commanded
     turn: float = 0.1  # [rad / sqrt(rad)] error of heading over the angle commanded
-    rest_xy: float = 1e-3  # [m / sqrt(s)] wandering in place, always there
-    rest_theta: float = 1e-3  # [rad / sqrt(s)] wandering of the heading, always there
-    lost_xy: float = 0.06  # [m / sqrt(s)] wandering while no command is known
-    lost_theta: float = 0.3  # [rad / sqrt(s)] turning while no command is known
 
 
 @config
@@ -63,7 +61,6 @@ class CameraNoise:
 
     range_floor: float = 0.1  # [m] error of a range to a landmark close by
     range_share: float = 0.09  # error of a range as a share of the distance
-    range_beside_laser: float = 2.0  # times both, in a team with a laser: they last, and would bend paths known better
     bearing: float = 0.028  # [rad] error of a bearing to a landmark
     robot_range_floor: float = 0.22  # [m] error of a range to another robot, whose marks are not at its centre
     robot_bearing: float = 0.04  # [rad] error of a bearing to another robot
@@ -83,21 +80,6 @@ class CalibrationPrior:
     bearing_bias_sd: float = 0.02  # [rad] its standard deviation
     range_scale: float = 1.0  # range read over the true one
     range_scale_sd: float = 0.02  # its standard deviation
-    bare_range_scale: float = 0.99  # range as maps made of ranges alone hold it over the true one: nobody has wheels
-
-
-@config
-class KnownConfig:
-    """How well places are known where nobody says how well."""
-
-    told: float = 3.0  # standard deviations from which a known place that the map contradicts is told
-
-
-@config
-class ClockConfig:
-    """When a robot's clock is off the others', as what they saw of each other tells."""
-
-    told: float = 4.0  # standard deviations from which a clock is told
 
 
 @config
@@ -107,14 +89,10 @@ class SmoothingConfig:
     motion: MotionNoise = field(default_factory=MotionNoise)
     camera: CameraNoise = field(default_factory=CameraNoise)
     calibration: CalibrationPrior = field(default_factory=CalibrationPrior)
-    known: KnownConfig = field(default_factory=KnownConfig)
-    clocks: ClockConfig = field(default_factory=ClockConfig)
     robot_sightings: bool = True  # whether sightings of other robots tie trajectories
     longest_step: float = 2.0  # [s] between two poses that are estimated
     shortest_step: float = 0.5  # [s] between two poses that are estimated; sightings between go by the nearest
     most_poses: int = 50_000  # that are estimated, about: beyond it both steps are made longer, and it is told
-    cluster: float = 20.0  # [s] errors of one robot are taken to be independent after this long
-    max_iterations: int = 40  # steps of the solver, at most
 
 
 @config

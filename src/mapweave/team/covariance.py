@@ -19,13 +19,13 @@ from jaxtyping import Float, Int
 from ..core.gaussian import symmetrise
 from ..solve import Factor, Information, Pattern, SingularError, Solution
 from .config import (
+    CLUSTER,
     FEW_RAISED,
     HEADING_FLOOR,
     MOST_CORRECTED,
     POSITION_FLOOR,
     SMOOTHING_GROUPS,
     SMOOTHING_MEMORY,
-    SmoothingConfig,
 )
 from .problem import Origin, TeamProblem
 from .robot_part import PARAMETERS
@@ -151,7 +151,6 @@ class TeamCovariance:
 def team_covariance(
     team: TeamProblem,
     solution: Solution,
-    cfg: SmoothingConfig,
     before: Float[np.ndarray, "n n"],
     pattern: Pattern | None = None,
 ) -> TeamCovariance:
@@ -172,7 +171,7 @@ def team_covariance(
     that nothing but ranges tells; pattern: of the problem, where it is known already. Raises SingularError where the
     problem leaves something free.
     """
-    groups = Groups.of(team, cfg.cluster)
+    groups = Groups.of(team, CLUSTER)
     known = _Known.of(team, solution, groups, pattern)
     hubs = np.arange(team.landmark_start, len(solution.x))
     m = 2 * len(team.landmarks)

@@ -27,7 +27,7 @@ def step_factor(part: RobotPart, cfg: SmoothingConfig, lag: float) -> Factor:
     columns = np.concatenate([part.pose_columns(k), part.pose_columns(k + 1)], axis=1)
     kernel = Cauchy(MOTION_NOISE_OUTLIER)
     if part.motion is None:
-        return _wandering(part, columns, cfg)
+        return _wandering(part, columns)
     motion = part.motion
     parameters = np.tile(part.parameters + np.array([SPEED, TURN, LAG]), (len(k), 1))
     columns9 = np.concatenate([columns, parameters], axis=1)
@@ -55,7 +55,7 @@ def step_factor(part: RobotPart, cfg: SmoothingConfig, lag: float) -> Factor:
     return Factor(columns9, residual, jacobian, 3, whiten, kernel, "odometry")
 
 
-def _wandering(part: RobotPart, columns: Int[np.ndarray, "m 6"], cfg: SmoothingConfig) -> Factor:
+def _wandering(part: RobotPart, columns: Int[np.ndarray, "m 6"]) -> Factor:
     """A robot whose commands nobody knows wanders, ahead more than aside.
 
     In its camera's own metres: else a smaller map would be a likelier one.
@@ -64,7 +64,7 @@ def _wandering(part: RobotPart, columns: Int[np.ndarray, "m 6"], cfg: SmoothingC
     keeps = part.instants.gap
     if not len(part.log.sightings):
         keeps = np.maximum(keeps, UNKNOWN_MEMORY)
-    whiten = np.linalg.inv(np.linalg.cholesky(random_walk(part.instants.t, cfg.motion, keeps)[part.instants.steps]))
+    whiten = np.linalg.inv(np.linalg.cholesky(random_walk(part.instants.t, keeps)[part.instants.steps]))
 
     def residual(x: np.ndarray) -> np.ndarray:
         return np.asarray(_halfway(*_relative_pose(x[columns]))[0] * [x[scale], x[scale], 1.0])

@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..core import se2
-from ..core.config import config
 from ..core.findings import Finding
 from ..core.landmark_log import LandmarkLog
 from ..core.names import in_order
@@ -36,6 +35,8 @@ from .relative_frame import (
 )
 from .team_map import TeamMap
 
+KIDNAP_LANDMARKS = 4  # of a map against which a robot is placed
+
 KIDNAP_BIN = 10.0  # [s] of a log in which sightings are compared with the map
 BIN_SIGHTINGS = 6  # in a bin at least, for it to count
 BIN_SHARE = 0.4  # of the sightings of a bin that must agree
@@ -54,13 +55,6 @@ CARRIED_TURN = 1.2  # [rad] its heading,
 CARRIED_SHARE = 0.25  # both beyond that share of all the distance and angle driven in between
 KIDNAP_BLIND = 4.0  # [s] without a sighting, from which it is left open when in between it was carried
 KIDNAP_MOST = 5  # robots, one after the other
-
-
-@config
-class KidnapConfig:
-    """When a robot is looked at more closely, and when it was put down elsewhere."""
-
-    landmarks: int = 4  # of a map against which a robot is placed
 
 
 NEXT = 1e-3  # [s] after a stamp that is still of the stretch before
@@ -101,14 +95,13 @@ def denied(
     log: LandmarkLog,
     labels: Labels,
     restless: Collection[str],
-    cfg: KidnapConfig,
     placing: PlacingConfig,
     smoothing: SmoothingConfig,
 ) -> bool:
     """Whether landmarks that are not `restless` place the robot on either side of every moment, and deny it."""
     names = {labels.get(log.robot, {}).get(name, name) for name in restless}
     still = Body({}, {name: place for name, place in reference.landmarks.items() if name not in names})
-    if not names or len(still.landmarks) < cfg.landmarks or jumps(still, log, labels, placing, smoothing):
+    if not names or len(still.landmarks) < KIDNAP_LANDMARKS or jumps(still, log, labels, placing, smoothing):
         return False
     wheel_track = carried_by_wheels(log, {}, smoothing)
     windows = placed_windows(still, log, wheel_track, {log.robot: log}, labels, replace(placing, window=KIDNAP_WINDOW))
@@ -212,7 +205,6 @@ def cut_kidnapped(
     fusion: Fusion,
     smoothing: SmoothingConfig,
     placing: PlacingConfig,
-    cfg: KidnapConfig,
     mapper: Mapper,
     join: Joiner,
 ) -> Cut:
@@ -231,7 +223,7 @@ def cut_kidnapped(
             k = next(i for i, log in enumerate(main) if log.robot == robot)
             if robot in cleared or main[k] is not logs[k]:
                 continue
-            moments = _moments(main[k], maps, fusion, cfg, placing, smoothing, mapper, join)
+            moments = _moments(main[k], maps, fusion, placing, smoothing, mapper, join)
             if moments:
                 relocated = k, moments
                 break
@@ -386,7 +378,6 @@ def _moments(
     log: LandmarkLog,
     maps: Sequence[LocalMap],
     fusion: Fusion,
-    cfg: KidnapConfig,
     placing: PlacingConfig,
     smoothing: SmoothingConfig,
     mapper: Mapper,
@@ -401,19 +392,19 @@ def _moments(
     restless = {name for m in maps if m.robot == log.robot for name in m.restless}
     for half in (log.within(-np.inf, 0.5 * (a + b)), log.within(0.5 * (a + b), np.inf)):
         own = mapper(half) if len(half.sightings) else None
-        if own is not None and len(own.submap.ids) >= cfg.landmarks:
+        if own is not None and len(own.submap.ids) >= KIDNAP_LANDMARKS:
             known = _calibrated(smoothing, own)
             reference = _landmarks(own.submap.landmarks)
             relocations = jumps(reference, log, {}, placing, known)
-            if relocations and not denied(relocations, reference, log, {}, restless, cfg, placing, known):
+            if relocations and not denied(relocations, reference, log, {}, restless, placing, known):
                 return relocations
     others = join([m for m in maps if m.robot != log.robot])
     first = others.components[0] if others.components else None
-    if first is None or len(first.robots) < 2 or len(first.map) < cfg.landmarks:
+    if first is None or len(first.robots) < 2 or len(first.map) < KIDNAP_LANDMARKS:
         return ()
     reference = _landmarks(first.map)
     relocations = jumps(reference, log, fusion.labels, placing, smoothing)
-    refuted = relocations and denied(relocations, reference, log, fusion.labels, restless, cfg, placing, smoothing)
+    refuted = relocations and denied(relocations, reference, log, fusion.labels, restless, placing, smoothing)
     return () if refuted else relocations
 
 

@@ -16,10 +16,12 @@ from ..core.landmark_log import LandmarkLog
 from ..core.names import in_order
 from ..core.records import Track
 from ..solve import Cauchy, Factor
-from .config import KnownConfig, SmoothingConfig
+from .config import SmoothingConfig
 from .relative_frame import Body, Layout, Tie, carried_by_wheels, moved_track
 from .robot_part import RobotPart
 from .team_map import TeamMap
+
+KNOWN_TOLD = 3.0  # standard deviations from which a known place that the map contradicts is told
 
 KNOWN_START = 0.05  # [m] standard deviation of where a robot began
 KNOWN_HEADING = 0.05  # [rad] of its heading there
@@ -90,17 +92,17 @@ class PlacePriors:
         some = any(robot in self.starts for robot in robots)
         return not self.own_frame and (some or sum(name in self.points for name in landmarks) > 1)
 
-    def contradicted(self, team: TeamMap, cfg: KnownConfig) -> tuple[Finding, ...]:
+    def contradicted(self, team: TeamMap) -> tuple[Finding, ...]:
         """A finding for each known place that the finished map has elsewhere."""
         out = []
         for robot, (pose, sd) in self.starts.items():
             track = team.tracks.get(robot)
             off = 0.0 if track is None or not len(track.t) else float(np.hypot(*(track.pose[0] - pose)[:2]))
-            if off > cfg.told * sd:
+            if off > KNOWN_TOLD * sd:
                 out.append(Finding("start-contradicted", robot, value=off))
         for name, at in zip(team.landmarks.ids, team.landmarks.mean, strict=True):
             if name in self.points and (off := float(np.hypot(*(at - self.points[name][0])))) > max(
-                cfg.told * self.points[name][1], 10 * KNOWN_SURVEYED
+                KNOWN_TOLD * self.points[name][1], 10 * KNOWN_SURVEYED
             ):
                 out.append(Finding("survey-contradicted", value={"name": name, "value": off}))
         return tuple(out)

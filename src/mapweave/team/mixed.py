@@ -232,7 +232,7 @@ def map_mixed(
             team = _with_clocks(team, wrong)
         loosely = [robot for robot in done.map.tracks if robot not in held and by[robot].odometry is None]
         cut, notes = fixed_stretches(done.map, loosely, by, labels, placing)
-        against = known.contradicted(done.map, smoothing.known)
+        against = known.contradicted(done.map)
         components.append(replace(done, map=cut, notes=(*done.notes, *notes, *against)))
     return MixedMap(tuple(components), layout, _paths(components, walls, by), clocks, walls.merges)
 

@@ -35,6 +35,8 @@ from .robot_part import (
     keyframe_instants,
 )
 
+SMOOTHING_ITERATIONS = 40  # steps of the solver, at most
+
 WIDER, LONGEST = 1.25, 30.0  # times as long are steps made at a time where poses are too many, and [s] at most
 HELD_TOGETHER = 0.001  # share of the size of a map that nothing but ranges tells: so firmly it is held
 
@@ -73,12 +75,12 @@ class TeamProblem:
         node = _nodes(len(self.problem.x0), self.landmark_start, parameters)[free]
         return Pattern.of(self.problem).least_fill(node, free >= self.landmark_start)
 
-    def solve(
-        self, cfg: SmoothingConfig, start: Float[np.ndarray, " n"] | None = None, pattern: Pattern | None = None
-    ) -> Solution:
+    def solve(self, start: Float[np.ndarray, " n"] | None = None, pattern: Pattern | None = None) -> Solution:
         """The minimum near the start (or near `start`); `pattern`: where it is known already."""
         problem = self.problem if start is None else replace(self.problem, x0=start)
-        limits = SolveConfig(max_iterations=cfg.max_iterations, damping=1e-4, step_tolerance=1e-4, cost_tolerance=5e-5)
+        limits = SolveConfig(
+            max_iterations=SMOOTHING_ITERATIONS, damping=1e-4, step_tolerance=1e-4, cost_tolerance=5e-5
+        )
         return minimise(problem, limits, pattern or self.pattern)
 
     def softened(self, width: float) -> "TeamProblem":

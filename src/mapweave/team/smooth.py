@@ -30,6 +30,7 @@ from .config import (
     CLOCK_SURE,
     CLOCK_SUSPECT,
     CLOCK_TRIED,
+    CLUSTER,
     GAIN_SURE,
     CameraNoise,
     SmoothingConfig,
@@ -40,6 +41,11 @@ from .known import PlacePriors
 from .problem import TeamProblem, team_problem, with_fewer_poses
 from .robot_part import PARAMETERS, RobotPart
 from .team_map import TeamMap
+
+# times the errors of ranges, in a team with a laser: they last, and would bend paths known better
+RANGE_BESIDE_LASER = 2.0  # so uncertain are ranges in a team with a laser: errors last, and would bend better paths
+BARE_RANGE_SCALE = 0.99  # range as maps made of ranges alone hold it over the true one: nobody has wheels
+CLOCK_TOLD = 4.0  # standard deviations from which a clock is told
 
 OBSERVED = 0.7  # share of the prior's standard deviation
 Calibration = Mapping[str, tuple[float, float]]  # parameter -> (value, standard deviation)
@@ -111,7 +117,7 @@ def smooth(
     notes = () if wider is cfg else (_told_of_steps(wider),)
     cfg, start = wider, team
     if all(log.odometry is None and log.robot not in scans for log in chosen) and len(team.landmarks) > 2:
-        range_scale = cfg.calibration.bare_range_scale
+        range_scale = BARE_RANGE_SCALE
         cfg = replace(cfg, calibration=replace(cfg.calibration, range_scale=range_scale))
         start = _enlarged(team, 1.0 / range_scale)
     problem = team_problem(
@@ -121,12 +127,12 @@ def smooth(
         return _kept(team, cfg, "nobody saw a landmark of the map or another robot", problem)
     x, pattern = None, problem.pattern
     for width in soften:
-        x = problem.softened(width).solve(cfg, x, pattern).x
-    solution = problem.solve(cfg, x, pattern)
+        x = problem.softened(width).solve(x, pattern).x
+    solution = problem.solve(x, pattern)
     if solution.status in {SolveStatus.SINGULAR, SolveStatus.DIVERGED} or not np.isfinite(solution.x).all():
         return _kept(team, cfg, f"the problem of the whole team is {solution.status}", problem, solution)
     try:
-        cov = team_covariance(problem, solution, cfg, start.landmarks.cov, pattern)
+        cov = team_covariance(problem, solution, start.landmarks.cov, pattern)
     except SingularError as error:
         return _kept(team, cfg, str(error), problem, solution)
     tracks = dict(team.tracks)
@@ -146,7 +152,7 @@ def smooth(
         prior=_prior(cfg),
         notes=notes,
         cost=solution.cost,
-        clocks=clocks_of(problem, solution, CLOCK_SUSPECT, cfg.cluster, clocks),
+        clocks=clocks_of(problem, solution, CLOCK_SUSPECT, CLUSTER, clocks),
     )
 
 
@@ -155,7 +161,7 @@ def _told_of_steps(cfg: SmoothingConfig) -> Finding:
 
 
 def _beside_laser(camera: CameraNoise) -> CameraNoise:
-    by = camera.range_beside_laser
+    by = RANGE_BESIDE_LASER
     return replace(camera, range_floor=by * camera.range_floor, range_share=by * camera.range_share)
 
 
@@ -263,7 +269,6 @@ def smooth_on_one_clock(
         first = replace(team, tracks=tracks) if clocks else team
         return smooth(first, shifted, labels, cfg, calibration, soften=soften, known=known, clocks=clocks)
 
-    limits = cfg.clocks
     as_is = done = on({})
     ahead: dict[str, float] = {}
     for _ in range(CLOCK_ROUNDS):
@@ -279,7 +284,7 @@ def smooth_on_one_clock(
     }
     gain = _gain(as_is, done)
     sure = {r: c for r, c in offsets.items() if _off(c, CLOCK_SURE) and gain >= GAIN_SURE}
-    doubtful = {r: c for r, c in offsets.items() if r not in sure and _off(c, limits.told) and gain >= CLOCK_GAIN}
+    doubtful = {r: c for r, c in offsets.items() if r not in sure and _off(c, CLOCK_TOLD) and gain >= CLOCK_GAIN}
     if set(sure) != set(ahead):
         done = on({r: c.ahead for r, c in sure.items()}) if sure else as_is
     notes = [*done.notes, *(_clock_off(r, c, right=True) for r, c in _in_order(sure))]

@@ -29,6 +29,8 @@ from ..world import (
     wall_segments,
 )
 
+STEERING_HEADING_COST = 3.0  # [m/rad] that a wrong heading counts as: no circling round a goal, no crawling
+
 WALLS_COMFORT = 1.2  # [m] beyond the radius that robots keep where nothing draws them nearer
 FIELD_WALL_GAP = 0.3  # [m] that random landmarks keep from walls
 
@@ -37,7 +39,6 @@ FIELD_WALL_GAP = 0.3  # [m] that random landmarks keep from walls
 class SteeringConfig:
     """How a robot gets to a place it was given."""
 
-    heading_cost: float = 3.0  # [m/rad] that a wrong heading counts as: no circling round a goal, no crawling
     lost: float = 6.0  # [m], sd of a robot's place in the map beyond which it looks for known landmarks
 
 
@@ -47,8 +48,6 @@ class LapSearchConfig:
 
     tries: int = 700  # changes tried of a plan: with the others, twelve seconds for the paper's field
     coarse_cell: float = 2.0  # [m], cells in which coverage is judged: four times faster than the field's own
-    looks: int = 1  # that are counted for each pose that carries information, evenly spread around it
-    sight_margin: float = 0.0  # [m] of the reach in which landmarks are not counted on to be seen
     tries_by_now: int = 120  # changes tried under way: a tenth of a second
 
 
@@ -56,19 +55,17 @@ class LapSearchConfig:
 class CoverageConfig:
     """Planner `coverage`: discs over what is unexplored, shared out as balanced tours."""
 
-    radius: float = 10.0  # [m] of a disc: two thirds of the reach, so that passing its middle shows all of it
     rate: float = 22.0  # [m^2] of field a robot and step: how long the tours of an open field take
     rate_alone: float = 19.0  # [m^2] the same for one robot
     error_weight: float = 70.0  # [steps/m] that expected map error is worth
     tour_radius: float = 13.0  # [m] of a disc of the first tours, which are improved as laps are
-    search: LapSearchConfig = LapSearchConfig(looks=4, sight_margin=0.7)  # with looks every third step of a lap
+    search: LapSearchConfig = LapSearchConfig()
 
 
 @config
 class LoopConfig:
     """Planner `loop`: a closed tour for each robot, then `coverage`."""
 
-    radius: float = 13.0  # [m] of a disc: larger than for `coverage`, so that fewer are left and a lap closes in time
     rate: float = 19.5  # [m^2] of field a robot and step: how long it goes on to close loops
     rate_alone: float = 17.0  # [m^2] the same for one robot, whose lap is longer
 
@@ -91,7 +88,6 @@ class WallsConfig:
     robot_radius: float = 0.3  # [m] of the disc that a robot is
     margin: float = 0.4  # [m] beyond the radius that planned paths and offered controls keep from walls
     path_cell: float = 0.4  # [m], raster on which paths round walls are found: half of what the narrowest door needs
-    put_off_after: int = 60  # [steps] after which a target that was not seen is put off
 
 
 @config

@@ -14,10 +14,14 @@ from ...core.se2 import wrap_angle
 from ...kernels.exploration.tours import balanced_tours, greedy_cover
 from ..ground import FAR
 from .belief import Explored, LandmarkBelief
-from .config import ExploreConfig
+from .config import STEERING_HEADING_COST, ExploreConfig
 from .floor_plan import FloorPlan
 from .laps import begin, drive, find_laps, follow, improve_tours, lap_steps, lap_task, mark_sure, revise
 from .steering import ahead, given_up, nearest_unexplored, new_cells, next_target, offered, steer
+
+# [m] of a disc of `coverage`: two thirds of the reach, so that passing its middle shows all of it
+COVERAGE_RADIUS = 10.0
+LOOP_RADIUS = 13.0  # [m] of a disc of `loop`: larger, so that fewer are left and a lap closes in time
 
 COVERAGE_GAIN_WEIGHT = 0.12  # [m] that a newly seen cell is worth: a course over new ground may be a little longer
 JOINT_SURE_MARGIN = 1.0  # [m] by which a cell must be within the reach to be surely seen: poses are estimates
@@ -75,7 +79,7 @@ def cover(belief: LandmarkBelief, poses: Float[np.ndarray, "r 3"], cfg: ExploreC
     live = np.flatnonzero(belief.alive)
     stale = belief.step >= memory.get("plan_until", -1) or memory.get("plan_for") != tuple(live)
     if stale:
-        memory["goals"] = plan(belief, poses, live, cfg)
+        memory["goals"] = plan(belief, poses, live)
         memory["plan_until"] = belief.step + COVERAGE_REPLAN_EVERY
         memory["plan_for"] = tuple(live)
     out = np.zeros((len(belief.robots), 2))
@@ -95,7 +99,7 @@ def held_target(belief: LandmarkBelief, j: int, pose: np.ndarray, cfg: ExploreCo
     """
     targets: dict[int, np.ndarray] = belief.memory.setdefault("targets", {})
     ex = belief.explored
-    if j in targets and (ex.sees(j, targets[j]) or given_up(belief, j, targets[j], cfg)):
+    if j in targets and (ex.sees(j, targets[j]) or given_up(belief, j, targets[j])):
         del targets[j]
     if j not in targets and belief.stalled[j] >= cfg.objective.stall_steps:
         goal = next_target(belief, j, pose)
@@ -104,15 +108,15 @@ def held_target(belief: LandmarkBelief, j: int, pose: np.ndarray, cfg: ExploreCo
     return targets.get(j)
 
 
-def plan(belief: LandmarkBelief, poses: np.ndarray, live: np.ndarray, cfg: ExploreConfig) -> dict[int, np.ndarray]:
+def plan(belief: LandmarkBelief, poses: np.ndarray, live: np.ndarray) -> dict[int, np.ndarray]:
     """The next place (2,) for each live robot: the first disc of its tour, or the nearest unexplored cell."""
     ex = belief.explored
     cells = ex.centres(np.argwhere(~ex.team()))
     if len(cells) == 0:
         return {}
     if belief.floor is not None:
-        return plan_among_walls(belief, belief.floor, cells, poses, live, cfg)
-    chosen = discs(belief, cells, cfg.coverage.radius)
+        return plan_among_walls(belief, belief.floor, cells, poses, live)
+    chosen = discs(belief, cells, COVERAGE_RADIUS)
     first = approach_cost(poses[live], chosen, COVERAGE_TURN_COST)
     between = np.linalg.norm(chosen[:, None] - chosen[None], axis=-1)
     tours, counts = balanced_tours(first, between, np.zeros_like(first), COVERAGE_BALANCE)
@@ -145,7 +149,7 @@ def towards(
     error = np.abs(wrap_angle(np.arctan2(d[:, 1], d[:, 0]) - after[:, 2]))
     distance = np.hypot(d[:, 0], d[:, 1])
     gain = new_cells(belief, j, after, cfg)
-    return np.asarray(controls[np.argmin(distance + cfg.steering.heading_cost * error - COVERAGE_GAIN_WEIGHT * gain)])
+    return np.asarray(controls[np.argmin(distance + STEERING_HEADING_COST * error - COVERAGE_GAIN_WEIGHT * gain)])
 
 
 def discs(belief: LandmarkBelief, cells: Float[np.ndarray, "n 2"], radius: float) -> Float[np.ndarray, "k 2"]:
@@ -183,13 +187,13 @@ def choose_loop(
     memory = belief.memory
     if "laps" not in memory:
         memory["home"] = poses[:, :2].copy()
-        memory["laps"] = plan_laps(belief, poses, cfg)
+        memory["laps"] = plan_laps(belief, poses)
     memory["go_on_until"] = 0 if _closed(belief, memory["laps"]) else loop_steps(belief, cfg)
     out = np.zeros((len(belief.robots), 2))
     idle = []
     for j in map(int, np.flatnonzero(belief.alive)):
         lap = memory["laps"][j]
-        while lap and _passed(belief, j, poses[j], lap, cfg):
+        while lap and _passed(belief, j, poses[j], lap):
             lap.pop(0)
         if lap:
             out[j] = towards(belief, j, poses[j], lap[0], cfg)
@@ -211,7 +215,7 @@ def loop_steps(belief: LandmarkBelief, cfg: ExploreConfig) -> int:
     return round(area / (rate * live))
 
 
-def plan_laps(belief: LandmarkBelief, poses: np.ndarray, cfg: ExploreConfig) -> dict[int, list[np.ndarray]]:
+def plan_laps(belief: LandmarkBelief, poses: np.ndarray) -> dict[int, list[np.ndarray]]:
     """For each live robot the discs of its closed tour in order, its home last."""
     live = np.flatnonzero(belief.alive)
     ex = belief.explored
@@ -219,8 +223,8 @@ def plan_laps(belief: LandmarkBelief, poses: np.ndarray, cfg: ExploreConfig) -> 
     if len(cells) == 0:
         return {int(j): [] for j in live}
     if belief.floor is not None:
-        return laps_among_walls(belief, belief.floor, cells, poses, live, cfg)
-    chosen = discs(belief, cells, cfg.loop.radius)
+        return laps_among_walls(belief, belief.floor, cells, poses, live)
+    chosen = discs(belief, cells, LOOP_RADIUS)
     first = approach_cost(poses[live], chosen, COVERAGE_TURN_COST)
     between = np.linalg.norm(chosen[:, None] - chosen[None], axis=-1)
     last = np.ascontiguousarray(np.linalg.norm(chosen[None] - poses[live][:, None, :2], axis=-1))
@@ -228,7 +232,7 @@ def plan_laps(belief: LandmarkBelief, poses: np.ndarray, cfg: ExploreConfig) -> 
     return {int(j): [*(chosen[i] for i in tours[k, : counts[k]]), poses[j, :2].copy()] for k, j in enumerate(live)}
 
 
-def _passed(belief: LandmarkBelief, j: int, pose: np.ndarray, lap: list[np.ndarray], cfg: ExploreConfig) -> bool:
+def _passed(belief: LandmarkBelief, j: int, pose: np.ndarray, lap: list[np.ndarray]) -> bool:
     """Whether the lap's next place was reached, or all its disc covers is seen; home itself must be reached."""
     if np.hypot(*(lap[0] - pose[:2])) < LOOP_ARRIVED:
         return belief.floor is None or bool(belief.floor.sees(pose[:2], lap[0][None], LOOP_ARRIVED)[0])
@@ -237,8 +241,8 @@ def _passed(belief: LandmarkBelief, j: int, pose: np.ndarray, lap: list[np.ndarr
     ex = belief.explored
     cells = ex.centres(np.argwhere(~ex.known_to(j)))
     if belief.floor is not None:
-        return not belief.floor.sees(lap[0], cells, cfg.loop.radius).any()
-    return len(cells) == 0 or bool(np.hypot(*(cells - lap[0]).T).min() > cfg.loop.radius)
+        return not belief.floor.sees(lap[0], cells, LOOP_RADIUS).any()
+    return len(cells) == 0 or bool(np.hypot(*(cells - lap[0]).T).min() > LOOP_RADIUS)
 
 
 def _closed(belief: LandmarkBelief, laps: dict[int, list[np.ndarray]]) -> bool:
@@ -385,22 +389,22 @@ def cover_among_walls(
 
 
 def plan_among_walls(
-    belief: LandmarkBelief, floor: FloorPlan, cells: np.ndarray, poses: np.ndarray, live: np.ndarray, cfg: ExploreConfig
+    belief: LandmarkBelief, floor: FloorPlan, cells: np.ndarray, poses: np.ndarray, live: np.ndarray
 ) -> dict[int, np.ndarray]:
     """The next place (2,) for each live robot: the first of its tour, or the nearest from which new cells are seen."""
-    chosen, goals = cover_among_walls(belief, floor, cells, cfg.coverage.radius)
+    chosen, goals = cover_among_walls(belief, floor, cells, COVERAGE_RADIUS)
     first = _approach(floor, poses[live], goals)
-    between = stations(belief, floor, cfg.coverage.radius).ways(floor, chosen)
+    between = stations(belief, floor, COVERAGE_RADIUS).ways(floor, chosen)
     tours, counts = balanced_tours(first, between, np.zeros_like(first), COVERAGE_BALANCE)
     return {int(j): goals[tours[k, 0] if counts[k] else int(np.argmin(first[k]))] for k, j in enumerate(live)}
 
 
 def laps_among_walls(
-    belief: LandmarkBelief, floor: FloorPlan, cells: np.ndarray, poses: np.ndarray, live: np.ndarray, cfg: ExploreConfig
+    belief: LandmarkBelief, floor: FloorPlan, cells: np.ndarray, poses: np.ndarray, live: np.ndarray
 ) -> dict[int, list[np.ndarray]]:
     """For each live robot the places of its closed tour in order, its home last."""
-    chosen, _ = cover_among_walls(belief, floor, cells, cfg.loop.radius)
-    have = stations(belief, floor, cfg.loop.radius)
+    chosen, _ = cover_among_walls(belief, floor, cells, LOOP_RADIUS)
+    have = stations(belief, floor, LOOP_RADIUS)
     places = have.places[chosen]
     first = _approach(floor, poses[live], places)
     last = _ways(floor, poses[live], places)

@@ -23,9 +23,11 @@ from ...kernels.exploration.objective import mark_half_disc
 from ...kernels.walls.segments import Raster, Sector
 from ...landmarks.submap_slam import SubmapConfig
 from .belief import LandmarkBelief
-from .config import CoverageConfig, ExploreConfig, JointConfig, LapSearchConfig
+from .config import STEERING_HEADING_COST, CoverageConfig, ExploreConfig, JointConfig, LapSearchConfig
 from .steering import steer
 
+COVERAGE_LOOKS = 4  # for each pose of a lap of `coverage`: every third step of it,
+COVERAGE_SIGHT_MARGIN = 0.7  # [m] and landmarks are not counted on at the end of the reach
 LAPS_FIRST_PLANS = 4  # plans that are improved a little before the best of them are chosen
 LAPS_FINALISTS = 2  # of those that are improved further before one is chosen
 LAPS_FINE_SHARE = 0.4  # of the tries that the chosen one gets once more, judged on more layouts
@@ -68,7 +70,8 @@ class LapTask:
     density: float
     error_weight: float  # steps a metre
     search: LapSearchConfig
-    heading_cost: float  # [m/rad], as `steering` has it
+    looks: int  # that are counted for each pose that carries information, evenly spread around it
+    sight_margin: float  # [m] of the reach in which landmarks are not counted on to be seen
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +137,7 @@ class LapJudge:
     def drive(self, plan: Plan) -> np.ndarray:
         """Poses (M, n, 3) of a drive without noise from now on, a little longer than the task."""
         t = self.task
-        rules = LapRules(self.controls, t.submap.period, self.lower, self.upper, LAPS_ARRIVED, t.heading_cost)
+        rules = LapRules(self.controls, t.submap.period, self.lower, self.upper, LAPS_ARRIVED, STEERING_HEADING_COST)
         return drive_laps(*plan, self.here, rules, max(t.steps - self.step, 0) + LAPS_TAIL_STEPS)
 
     def shares(self, track: np.ndarray) -> np.ndarray:
@@ -148,7 +151,7 @@ class LapJudge:
 
         Of a plan whose first layouts make it very probable that this is above `enough`, theirs alone, above it too.
         """
-        s, search = self.task.submap, self.task.search
+        s = self.task.submap
         every = LAPS_POSE_STRIDE
         nodes = max(self.task.steps, self.step + every) // every
         whole = np.concatenate([self.past.trail[:, :-1], track], axis=1)[:, : nodes * every + 1]
@@ -158,8 +161,8 @@ class LapJudge:
             s.R,
             LAPS_LEAST_RANGE,
             self.step,
-            search.sight_margin,
-            max(1, every // search.looks),
+            self.task.sight_margin,
+            max(1, every // self.task.looks),
         )
         odometry = odometry_information(whole, every, s.Q)
         limits = dict(LAPS_HOPELESS_BY_NOW if self.step else LAPS_HOPELESS)
@@ -373,7 +376,7 @@ def lap_task(
         cfg.joint.density,
         part.error_weight,
         part.search,
-        cfg.steering.heading_cost,
+        *((COVERAGE_LOOKS, COVERAGE_SIGHT_MARGIN) if isinstance(part, CoverageConfig) else (1, 0.0)),
     )
 
 

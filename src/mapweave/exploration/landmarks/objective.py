@@ -72,7 +72,7 @@ def _choose_one(
     if known is not None:
         return steer(belief, pose, known, cfg)
     if j in targets:
-        if ex.sees(j, targets[j]) or given_up(belief, j, targets[j], cfg):
+        if ex.sees(j, targets[j]) or given_up(belief, j, targets[j]):
             del targets[j]
         else:
             return steer(belief, pose, targets[j], cfg)

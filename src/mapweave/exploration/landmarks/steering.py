@@ -11,8 +11,10 @@ from ...kernels.walls.segments import Sector, distance_of_moves
 from ...kernels.walls.sight import unexplored_in_sight
 from ...landmarks.submap_slam import move
 from .belief import LandmarkBelief
-from .config import WALLS_COMFORT, ExploreConfig
+from .config import STEERING_HEADING_COST, WALLS_COMFORT, ExploreConfig
 from .floor_plan import FloorPlan
+
+PUT_OFF_AFTER = 60  # [steps] after which a target that was not seen is put off
 
 STEERING_LANDMARK_REACHED = 4.0  # [m] from a landmark at which a lost robot has tried it: well within the reach
 WALLS_LEG = 2.0  # [m] of the path ahead whose narrowness allows a robot to come nearer to walls
@@ -37,7 +39,7 @@ def offered(
         if np.array_equal(back, pose[:2]):
             inside = controls[:, 0] == min(cfg.commands.speeds)
         else:
-            inside[np.argmin(_time_to(poses, 0.98 * back + 0.02 * 0.5 * (belief.lower + belief.upper), cfg))] = True
+            inside[np.argmin(_time_to(poses, 0.98 * back + 0.02 * 0.5 * (belief.lower + belief.upper)))] = True
     return controls[inside], poses[inside]
 
 
@@ -114,14 +116,14 @@ def steer(belief: LandmarkBelief, pose: Float[np.ndarray, "3"], goal: np.ndarray
     """The offered control (2,) that heads for `goal` soonest: turn towards it, fast when it lies ahead."""
     place = ahead(belief, pose, goal, cfg)
     controls, poses = offered(belief, pose, cfg, place)
-    return np.asarray(controls[np.argmin(_time_to(poses, place, cfg))])
+    return np.asarray(controls[np.argmin(_time_to(poses, place))])
 
 
-def _time_to(poses: Float[np.ndarray, "m 3"], goal: Float[np.ndarray, "2"], cfg: ExploreConfig) -> np.ndarray:
+def _time_to(poses: Float[np.ndarray, "m 3"], goal: Float[np.ndarray, "2"]) -> np.ndarray:
     """Distance [m] from each pose to `goal`, with what a wrong heading counts as: no circling, no crawling."""
     d = goal - poses[:, :2]
     error = np.abs(wrap_angle(np.arctan2(d[:, 1], d[:, 0]) - poses[:, 2]))
-    return np.asarray(np.hypot(d[:, 0], d[:, 1]) + cfg.steering.heading_cost * error)
+    return np.asarray(np.hypot(d[:, 0], d[:, 1]) + STEERING_HEADING_COST * error)
 
 
 def way_back(belief: LandmarkBelief, j: int, pose: Float[np.ndarray, "3"], cfg: ExploreConfig) -> np.ndarray | None:
@@ -159,15 +161,12 @@ def next_target(belief: LandmarkBelief, j: int, pose: Float[np.ndarray, "3"]) ->
     return goal
 
 
-def given_up(belief: LandmarkBelief, j: int, target: np.ndarray, cfg: ExploreConfig) -> bool:
+def given_up(belief: LandmarkBelief, j: int, target: np.ndarray) -> bool:
     """Whether robot j, among walls, has gone for `target` for so long that it puts it off for another."""
-    if (
-        belief.floor is None
-        or belief.step - belief.memory.get("target_since", {}).get(j, belief.step) < cfg.walls.put_off_after
-    ):
+    if belief.floor is None or belief.step - belief.memory.get("target_since", {}).get(j, belief.step) < PUT_OFF_AFTER:
         return False
     off = belief.memory.setdefault("put_off", {})
-    off[float(target[0]), float(target[1])] = belief.step + 4 * cfg.walls.put_off_after
+    off[float(target[0]), float(target[1])] = belief.step + 4 * PUT_OFF_AFTER
     return True
 
 

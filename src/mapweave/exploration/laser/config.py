@@ -2,7 +2,7 @@
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -28,56 +28,54 @@ from ..world import (
     wall_segments,
 )
 
-
-@config
-class FollowerConfig:
-    """How the next command along a path is chosen."""
-
-    reverse_speed: float = 1 / 3  # of the top speed backwards, to leave a tight spot
-    heading_cost: float = 0.8  # [m/rad] that a wrong heading counts as,
-    reverse_cost: float = 0.25  # [m] that driving backwards counts as: turning round is better where there is room
-    arc_sample: float = 0.02  # [m] between the samples of an arc: half of `guard`
+OCCUPIED_SHARE = 0.2  # share of a cell's beams ending in it that makes it a wall: along a wall's face most go through
+ARCS_APART = 0.12  # [m] beyond two radii that a driven arc keeps from the path another robot just chose
+WALL_TOLERANCE = 0.1  # [m] from a wall up to which a cell of the map shows it: two cells
 
 
 @config
 class LaserExploreConfig:
-    """The robots' limits and how they plan. Limits and reach are taken from the robots when a run begins."""
+    """How robots plan."""
+
+    resolution: float = 0.2  # [m], cells of the grid that is planned on: a robot's radius
+    margin: float = 0.1  # [m] beyond the radius that planned paths keep from walls: half a cell
+    w_accuracy: float = 1 / 3  # weight of known walls around a goal, planners `paper` and `area`
+    w_area: float = 1 / 3  # weight of unknown ground around a goal
+    w_apart: float = 1 / 3  # weight of the distance from the others
+    max_steps: int = 20000  # [steps] after which a run ends unfinished
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LaserPlan(LaserExploreConfig):
+    """How robots plan, with the limits and the reach of those that drive."""
 
     period: float = 0.5  # [s], a step
     radius: float = 0.2  # [m] of a robot
     speed: float = 0.6  # [m/s], the fastest; robots drive backwards a third as fast
     turn: float = 1.0  # [rad/s], the fastest
     reach: float = 12.0  # [m] of the scanner
-    resolution: float = 0.2  # [m], cells of the grid that is planned on: a robot's radius
-    occupied_share: float = 0.2  # of a cell's beams that end in it make it a wall: along a wall's face most go through
-    margin: float = 0.1  # [m] beyond the radius that planned paths keep from walls: half a cell
-    guard: float = 0.04  # [m] beyond the radius that a driven arc keeps from every point of the present scan
-    apart: float = 0.12  # [m] beyond two radii that a driven arc keeps from the path another robot just chose
-    split: float = 2.5  # [m], longest side of a piece of frontier that makes one goal
-    most_goals: int = 40  # considered at once; longer frontiers are cut into larger pieces
-    w_accuracy: float = 1 / 3  # weight of known walls around a goal, planners `paper` and `area`
-    w_area: float = 1 / 3  # weight of unknown ground around a goal
-    w_apart: float = 1 / 3  # weight of the distance from the others
-    max_steps: int = 20000  # [steps] after which a run ends unfinished
-    follower: FollowerConfig = FollowerConfig()
 
 
 @config
 class LaserMissionConfig:
     """Settings of `explore` with lasers: robots, mapping, planning. The planner's limits are taken from the robots."""
 
-    MOVED: ClassVar[Mapping[str, str]] = {"team.near": "team.map.near"}  # old keys and where they are now
+    MOVED: ClassVar[Mapping[str, str]] = {  # old keys and where they are now
+        "team.near": "team.map.near",
+        **{f"plan.{key}": f"robots.{key}" for key in ("period", "radius", "speed", "turn")},
+        "plan.reach": "robots.scanner.far",
+    }
 
     robots: LaserRobotsConfig = field(default_factory=LaserRobotsConfig)
     team: LaserTeamConfig = field(default_factory=LaserTeamConfig)
     plan: LaserExploreConfig = field(default_factory=LaserExploreConfig)
     map_resolution: float = 0.05  # [m], of the map that is written and scored
-    tolerance: float = 0.1  # [m] from a wall up to which a cell of the map shows it: two cells
 
-    def planning(self) -> LaserExploreConfig:
+    def planning(self) -> LaserPlan:
         """The planner's configuration, with the limits and the reach of the robots."""
         r = self.robots
-        return replace(self.plan, period=r.period, radius=r.radius, speed=r.speed, turn=r.turn, reach=r.scanner.far)
+        own = {f.name: getattr(self.plan, f.name) for f in fields(self.plan)}
+        return LaserPlan(**own, period=r.period, radius=r.radius, speed=r.speed, turn=r.turn, reach=r.scanner.far)
 
 
 def with_odometry_noise(cfg: LaserMissionConfig, factor: float) -> LaserMissionConfig:

@@ -23,7 +23,7 @@ from ...laser.pose_graph import PoseGraph
 from ...sim.laser_worlds import LEAST
 from ..mission import ExplorationResult, Mission, RunScore, run_seeds
 from ..planner_interface import find_planner, is_built_in
-from .config import LaserMissionConfig, LaserPlace, LaserScenarioConfig, make_place
+from .config import OCCUPIED_SHARE, WALL_TOLERANCE, LaserMissionConfig, LaserPlace, LaserScenarioConfig, make_place
 from .frontiers import mapped_ground, pockets
 from .mission import LaserRun, LaserStepRecord
 
@@ -59,9 +59,9 @@ def score(
     mission_run: LaserRun, moments: list[LaserStepRecord], merged: Occupancy, run: int, seconds: float
 ) -> LaserScore:
     """A finished run against the truth. merged: the map at the resolution that is scored."""
-    team, world, cfg = mission_run.team, mission_run.place.world, mission_run.cfg
+    team, world = mission_run.team, mission_run.place.world
     cells = merged.centres(np.argwhere(merged.occupied))
-    error, precision, recall = wall_scores(cells, world, mission_run.building, cfg.tolerance)
+    error, precision, recall = wall_scores(cells, world, mission_run.building, WALL_TOLERANCE)
     true = true_keyframes(mission_run, moments)
     pose, P = team.graph().pose, team.covariances()
     e = np.column_stack([pose[:, :2] - true[:, :2], se2.wrap_angle(pose[:, 2] - true[:, 2])])
@@ -212,7 +212,7 @@ def explore_laser_once(
     if moments and snapshots[-1].step != mission_run.step:
         snapshots.append(MapSnapshot(mission_run.step, mission_run.grid, moments[-1].poses, moments[-1].explored))
     grid = mission_run.team.grid(mission.cfg.map_resolution)
-    merged = without_gaps(of_grid(grid, mission.cfg.plan.occupied_share))
+    merged = without_gaps(of_grid(grid, OCCUPIED_SHARE))
     run_score = score(mission_run, moments, merged, run, perf_counter() - began)
     M = len(mission_run.robots)
     record = LaserRunRecord(
@@ -277,7 +277,7 @@ def _score_only(mission: LaserMission, seed: int, run: int) -> LaserScore:
     began = perf_counter()
     team, _ = start(mission, seed)
     moments = [replace(m, scans=()) for m in team.play()]  # scans are many and the score needs none
-    merged = without_gaps(of_grid(team.team.grid(mission.cfg.map_resolution), mission.cfg.plan.occupied_share))
+    merged = without_gaps(of_grid(team.team.grid(mission.cfg.map_resolution), OCCUPIED_SHARE))
     return score(team, moments, merged, run, perf_counter() - began)
 
 

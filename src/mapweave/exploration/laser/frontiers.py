@@ -8,7 +8,10 @@ from scipy import ndimage
 
 from ...laser.occupancy import Occupancy
 from ..ground import Ground, nearest_cells
-from .config import LaserExploreConfig
+from .config import LaserPlan
+
+FRONTIER_SPLIT = 2.5  # [m], longest side of a piece of frontier that makes one goal
+MOST_GOALS = 40  # considered at once; longer frontiers are cut into larger pieces
 
 EIGHT = np.ones((3, 3), dtype=bool)
 GOALS_SNAP = 1.0  # [m] within which a place off the ground counts as its nearest cell
@@ -43,7 +46,7 @@ def mapped_ground(
     grid: Occupancy,
     places: Float[np.ndarray, "r 2"],
     obstacles: Float[np.ndarray, "k 2"],
-    cfg: LaserExploreConfig,
+    cfg: LaserPlan,
 ) -> MappedGround:
     """The ground that robots at `places` get to; `obstacles` are the places of dead robots."""
     blocked = grid.occupied
@@ -61,7 +64,7 @@ def mapped_ground(
     return MappedGround(weight, grid.origin, grid.resolution, GOALS_SNAP, grid=grid, fits=fits)
 
 
-def frontiers(ground: MappedGround, cfg: LaserExploreConfig) -> list[Frontier]:
+def frontiers(ground: MappedGround) -> list[Frontier]:
     """Reached cells next to unknown ones where the disc might fit, cut into pieces of at most `split` metres.
 
     Unknown patches smaller than `SLIVER` do not count. Pieces grow until there are at most `most_goals`.
@@ -78,11 +81,11 @@ def frontiers(ground: MappedGround, cfg: LaserExploreConfig) -> list[Frontier]:
     if len(cells) == 0:
         return []
     parts = ndimage.label(edge, structure=EIGHT)[0][edge]
-    side, middle = cfg.split, grid.centres(cells)
+    side, middle = FRONTIER_SPLIT, grid.centres(cells)
     while True:
         key = np.column_stack([parts, np.floor(middle / side).astype(np.int64)])
         piece = np.unique(key, axis=0, return_inverse=True)[1].ravel()
-        if piece.max() < cfg.most_goals or side > 1e3:
+        if piece.max() < MOST_GOALS or side > 1e3:
             break
         side *= 1.5
     return [_piece(grid, unknown, cells[piece == k]) for k in range(piece.max() + 1)]

@@ -18,7 +18,7 @@ from ...sim.laser import stream
 from ...sim.laser_team import LaserTeamSim
 from ..ground import CostToGo, Ground
 from ..planner_interface import TeamBelief, query_planner
-from .config import LaserExploreConfig, LaserMissionConfig, LaserPlace
+from .config import ARCS_APART, OCCUPIED_SHARE, LaserMissionConfig, LaserPlace, LaserPlan
 from .frontiers import MappedGround, disc_mask, frontiers, mapped_ground
 
 WAY_LEFT_PLACE = 0.6  # [m] from where a robot was beyond which it has left that place
@@ -42,7 +42,7 @@ class LaserBelief(TeamBelief):
     scans: tuple[np.ndarray, ...]
 
 
-LaserPlanner = Callable[[LaserBelief, Float[np.ndarray, "r 3"], LaserExploreConfig], Float[np.ndarray, "r 2"]]
+LaserPlanner = Callable[[LaserBelief, Float[np.ndarray, "r 3"], LaserPlan], Float[np.ndarray, "r 2"]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,17 +153,17 @@ def planner_state_of(belief: LaserBelief, poses: np.ndarray) -> PlannerState:
     return state
 
 
-def with_parked(ground: MappedGround, parked: np.ndarray, cfg: LaserExploreConfig) -> Ground:
+def with_parked(ground: MappedGround, parked: np.ndarray, cfg: LaserPlan) -> Ground:
     """`ground` that is dear where robots stand at `parked` (k, 2): one goes round them if one can."""
     if not len(parked):
         return ground
-    taken = disc_mask(ground.grid, parked, 2 * cfg.radius + cfg.apart) & ground.free
+    taken = disc_mask(ground.grid, parked, 2 * cfg.radius + ARCS_APART) & ground.free
     weight = np.where(taken, np.uint8(SHARED_PARKED_COST), ground.weight)
     return Ground(np.ascontiguousarray(weight), ground.lower, ground.cell, ground.snap)
 
 
 def route_to(
-    ground: MappedGround, place: np.ndarray, parked: np.ndarray, cfg: LaserExploreConfig, far: float = np.inf
+    ground: MappedGround, place: np.ndarray, parked: np.ndarray, cfg: LaserPlan, far: float = np.inf
 ) -> ClearCostToGo:
     """Paths to `place` from everywhere on the ground that is at most `far` [m] away, round robots `parked` (k, 2)."""
     priced = with_parked(ground, parked, cfg)
@@ -210,7 +210,7 @@ class LaserRun:
     sim: LaserTeamSim = field(init=False)
     team: LaserTeam = field(init=False)
     grid: Occupancy = field(init=False)
-    plan: LaserExploreConfig = field(init=False)
+    plan: LaserPlan = field(init=False)
     alive: Any = None
     stalled: Any = None
     memory: dict[str, Any] = field(default_factory=dict)
@@ -283,7 +283,7 @@ class LaserRun:
         if self.step % MISSION_FRONTIER_CHECK_EVERY:
             return False
         poses = self.team.poses()[:, :2]
-        return not frontiers(mapped_ground(self.grid, poses[self.alive], poses[~self.alive], self.plan), self.plan)
+        return not frontiers(mapped_ground(self.grid, poses[self.alive], poses[~self.alive], self.plan))
 
     def _commands(self) -> Float[np.ndarray, "r 2"]:
         return query_planner(
@@ -317,7 +317,7 @@ class LaserRun:
             scans.append(scan)
         middle = perf_counter()
         self.team.optimise()
-        self.grid = of_grid(self.team.grid(self.plan.resolution), self.plan.occupied_share)
+        self.grid = of_grid(self.team.grid(self.plan.resolution), OCCUPIED_SHARE)
         self.timing["look"] += middle - before
         self.timing["map"] += perf_counter() - middle
         return tuple(scans)

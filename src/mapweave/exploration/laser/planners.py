@@ -15,7 +15,7 @@ from ...kernels.exploration.arcs import arc_clearance, arc_points
 from ...kernels.exploration.tours import balanced_tours, improve_tours
 from ...kernels.exploration.wavefront import NO_LIMIT, STRAIGHT, spread
 from ..ground import FAR, Ground
-from .config import LaserExploreConfig
+from .config import ARCS_APART, LaserPlan
 from .frontiers import ROOMY, Frontier, MappedGround, disc_mask, frontiers, mapped_ground, pockets
 from .mission import (
     GOALS_SAME,
@@ -28,6 +28,12 @@ from .mission import (
     route_to,
     with_parked,
 )
+
+REVERSE_SPEED = 1 / 3  # share of the top speed, backwards, to leave a tight spot
+FOLLOWER_HEADING_COST = 0.8  # [m/rad] that a wrong heading counts as
+REVERSE_COST = 0.25  # [m] that driving backwards counts as: turning round is better where there is room
+ARC_SAMPLE = 0.02  # [m] between the samples of an arc: half of `GUARD`
+GUARD = 0.04  # [m] beyond the radius that a driven arc keeps from every point of the present scan
 
 GOALS_SEEN_SHARE = 0.8  # of a goal's unknown cells after which it is done: the rest is noise of the walls
 GOALS_SPARE_WAY = 20.0  # [m] farther than needed that paths to a goal are looked for, so that detours are known
@@ -64,27 +70,27 @@ GOALS_LOOK = 4  # [steps] at a goal that nothing new comes of after which it is 
 
 
 @cache
-def candidate_commands(cfg: LaserExploreConfig) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, "m 3"]]:
+def candidate_commands(cfg: LaserPlan) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, "m 3"]]:
     """All (v, w) a robot chooses from: standing still first, then turning on the spot, then faster; and where each
     ends in the robot's frame.
     """
     turns = cfg.turn * np.array([0.0, *(s * k / 10 for k in range(1, 11) for s in (1, -1))])
     speeds = cfg.speed * np.array([0.0, 1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6, 1.0])
     ahead = np.array([(v, w) for v in speeds for w in turns])
-    back = np.array([(-cfg.follower.reverse_speed * cfg.speed, w) for w in turns[::4]])
+    back = np.array([(-REVERSE_SPEED * cfg.speed, w) for w in turns[::4]])
     commands = frozen(np.concatenate([ahead, back]))
     return commands, frozen([arc_points(v, w, cfg.period, 1)[1] for v, w in commands])
 
 
 def collision_free(
-    commands: Float[np.ndarray, "m 2"], points: Float[np.ndarray, "k 2"], least: float, cfg: LaserExploreConfig
+    commands: Float[np.ndarray, "m 2"], points: Float[np.ndarray, "k 2"], least: float, cfg: LaserPlan
 ) -> tuple[Bool[np.ndarray, " m"], Float[np.ndarray, " m"]]:
     """Which arcs keep `least` [m] from every point (robot's frame), or come no nearer than the robot stands; and how
     near each comes (m,).
     """
     stride = cfg.speed * cfg.period
     near = points[np.hypot(*points.T) < least + stride + ROOMY]
-    clearance = arc_clearance(commands, cfg.period, np.ascontiguousarray(near), cfg.follower.arc_sample)
+    clearance = arc_clearance(commands, cfg.period, np.ascontiguousarray(near), ARC_SAMPLE)
     still = np.hypot(*near.T).min() if len(near) else np.inf
     return clearance >= min(least, still) - 1e-9, clearance
 
@@ -94,7 +100,7 @@ def steer(
     target: Float[np.ndarray, "2"] | None,
     scan: Float[np.ndarray, "k 2"],
     others: Float[np.ndarray, "n 2"],
-    cfg: LaserExploreConfig,
+    cfg: LaserPlan,
 ) -> Float[np.ndarray, "2"]:
     """The allowed command that heads for `target` soonest; stands still without one.
 
@@ -104,24 +110,22 @@ def steer(
     if target is None:
         return np.zeros(2)
     commands, ends = candidate_commands(cfg)
-    free, clearance = collision_free(commands, scan, cfg.radius + cfg.guard, cfg)
+    free, clearance = collision_free(commands, scan, cfg.radius + GUARD, cfg)
     if len(others):
-        free &= collision_free(commands, se2.act(se2.inverse(pose), others), 2 * cfg.radius + cfg.apart, cfg)[0]
+        free &= collision_free(commands, se2.act(se2.inverse(pose), others), 2 * cfg.radius + ARCS_APART, cfg)[0]
     goal = se2.act(se2.inverse(pose), target)
     d = goal - ends[:, :2]
     distance = np.hypot(d[:, 0], d[:, 1])
     error = np.abs(wrap_angle(np.arctan2(d[:, 1], d[:, 0]) - ends[:, 2]))
     error = error * np.minimum(1.0, distance / FOLLOW_HEADING_NEAR)
     tight = np.clip(ROOMY - clearance, 0.0, ROOMY)
-    backwards = cfg.follower.reverse_cost * (commands[:, 0] < 0.0)
-    cost = np.where(
-        free, distance + cfg.follower.heading_cost * error + FOLLOW_CLOSENESS_COST * tight + backwards, np.inf
-    )
+    backwards = REVERSE_COST * (commands[:, 0] < 0.0)
+    cost = np.where(free, distance + FOLLOWER_HEADING_COST * error + FOLLOW_CLOSENESS_COST * tight + backwards, np.inf)
     return np.asarray(commands[np.argmin(cost)])
 
 
 def predicted_path(
-    pose: Float[np.ndarray, "3"], command: Float[np.ndarray, "2"], cfg: LaserExploreConfig
+    pose: Float[np.ndarray, "3"], command: Float[np.ndarray, "2"], cfg: LaserPlan
 ) -> Float[np.ndarray, "n 2"]:
     """Places (n, 2) along the arc of one step, in the frame of `pose`'s map, start and end among them."""
     arc = arc_points(float(command[0]), float(command[1]), cfg.period, 6)
@@ -140,14 +144,12 @@ def current_route(state: PlannerState, j: int) -> ClearCostToGo | None:
     return state.goals[j].route if j in state.goals else None
 
 
-def resolve_conflicts(
-    state: PlannerState, poses: np.ndarray, live: np.ndarray, step: int, cfg: LaserExploreConfig
-) -> None:
+def resolve_conflicts(state: PlannerState, poses: np.ndarray, live: np.ndarray, step: int, cfg: LaserPlan) -> None:
     """Whoever stands in the way of a robot that goes first gets a place aside; who has waited long enough goes on."""
     _end_waiting(state, poses, live, step, cfg)
     _get_unstuck(state, poses, live, step, cfg)
     ranked = priority_order(state, live)
-    near = 2 * cfg.radius + cfg.apart
+    near = 2 * cfg.radius + ARCS_APART
     for a, i in enumerate(ranked):
         for k in ranked[a + 1 :]:
             if k in state.yielding or np.hypot(*(poses[i, :2] - poses[k, :2])) > WAY_MEETING:
@@ -171,13 +173,13 @@ def _in_way(state: PlannerState, poses: np.ndarray, i: int, k: int, near: float,
     return len(way) > 0 and float(np.hypot(*(way - poses[k, :2]).T).min()) < near
 
 
-def _yield_to(state: PlannerState, poses: np.ndarray, k: int, i: int, step: int, cfg: LaserExploreConfig) -> bool:
+def _yield_to(state: PlannerState, poses: np.ndarray, k: int, i: int, step: int, cfg: LaserPlan) -> bool:
     """Robot k goes to the nearest place beside robot i's path; whether there is one."""
     ground, route = state.ground, current_route(state, i)
     if ground is None or route is None:
         return False
     way = np.vstack([poses[i : i + 1, :2], route.along(poses[i, :2], WAY_CLEAR_WAY)])
-    near = 2 * cfg.radius + cfg.apart
+    near = 2 * cfg.radius + ARCS_APART
     others = np.array([p[:2] for j, p in enumerate(poses) if j not in (i, k)]).reshape(-1, 2)
     weight = ground.weight.copy()
     weight[disc_mask(ground.grid, poses[i : i + 1, :2], near)] = 0
@@ -195,8 +197,8 @@ def _yield_to(state: PlannerState, poses: np.ndarray, k: int, i: int, step: int,
     return True
 
 
-def _end_waiting(state: PlannerState, poses: np.ndarray, live: np.ndarray, step: int, cfg: LaserExploreConfig) -> None:
-    near = 2 * cfg.radius + cfg.apart
+def _end_waiting(state: PlannerState, poses: np.ndarray, live: np.ndarray, step: int, cfg: LaserPlan) -> None:
+    near = 2 * cfg.radius + ARCS_APART
     for k, waiting in list(state.yielding.items()):
         i = waiting.whom
         if i == k:
@@ -219,7 +221,7 @@ def _goal_blocked(state: PlannerState, poses: np.ndarray, k: int, i: int, near: 
     return len(way) > 0 and float(np.hypot(*(way - poses[i, :2]).T).min()) < near
 
 
-def _get_unstuck(state: PlannerState, poses: np.ndarray, live: np.ndarray, step: int, cfg: LaserExploreConfig) -> None:
+def _get_unstuck(state: PlannerState, poses: np.ndarray, live: np.ndarray, step: int, cfg: LaserPlan) -> None:
     """Who has a goal and yet stays about one place for long goes some other way first; ranks are drawn anew.
 
     The lots are the same in the same run.
@@ -259,7 +261,7 @@ class AllocationProblem:
     held: dict[int, int]
 
 
-Allocator = Callable[[AllocationProblem, LaserExploreConfig], dict[int, int]]
+Allocator = Callable[[AllocationProblem, LaserPlan], dict[int, int]]
 
 
 def allocation_problem(
@@ -268,7 +270,7 @@ def allocation_problem(
     state: PlannerState,
     poses: np.ndarray,
     live: np.ndarray,
-    cfg: LaserExploreConfig,
+    cfg: LaserPlan,
 ) -> AllocationProblem:
     """All paths between live robots and pieces, over cells twice as large: shares need no exact lengths."""
     weight = halved(with_parked(ground, parked(state, poses, live), cfg).weight)
@@ -356,7 +358,7 @@ def keep_commitments(problem: AllocationProblem, chosen: dict[int, int]) -> dict
     return out
 
 
-def by_tours(problem: AllocationProblem, cfg: LaserExploreConfig) -> dict[int, int]:
+def by_tours(problem: AllocationProblem, cfg: LaserPlan) -> dict[int, int]:
     """Robot -> piece: the first of its tour, the tours short in the longest and then in the sum."""
     del cfg
     first, between = (np.ascontiguousarray(cost + PLAN_SERVICE) for cost in (problem.first, problem.between))
@@ -366,7 +368,7 @@ def by_tours(problem: AllocationProblem, cfg: LaserExploreConfig) -> dict[int, i
     return {j: n for j, n in chosen.items() if problem.first[problem.robots.index(j), n] < FAR / 2}
 
 
-def nearest_first(problem: AllocationProblem, cfg: LaserExploreConfig) -> dict[int, int]:
+def nearest_first(problem: AllocationProblem, cfg: LaserPlan) -> dict[int, int]:
     """Robot -> piece: the shortest path of all first; a piece goes to one robot."""
     del cfg
     left = problem.first.copy()
@@ -381,7 +383,7 @@ def nearest_first(problem: AllocationProblem, cfg: LaserExploreConfig) -> dict[i
 def by_objective(w_accuracy: float) -> Allocator:
     """Allocates by `J = w1 walls + w2 area + w3 apart - way`, each in [0, 1], one robot after the other."""
 
-    def allocate(problem: AllocationProblem, cfg: LaserExploreConfig) -> dict[int, int]:
+    def allocate(problem: AllocationProblem, cfg: LaserPlan) -> dict[int, int]:
         walls, area = walls_and_area(problem, cfg)
         out: dict[int, int] = {}
         taken: list[np.ndarray] = []
@@ -404,7 +406,7 @@ def by_objective(w_accuracy: float) -> Allocator:
     return allocate
 
 
-def walls_and_area(problem: AllocationProblem, cfg: LaserExploreConfig) -> tuple[np.ndarray, np.ndarray]:
+def walls_and_area(problem: AllocationProblem, cfg: LaserPlan) -> tuple[np.ndarray, np.ndarray]:
     """For each piece, in [0, 1]: known walls around it, which a scan there can be matched to, and unknown ground."""
     grid = problem.ground.grid
     side = 2 * int(0.5 * cfg.reach / grid.resolution) + 1
@@ -419,7 +421,7 @@ def walls_and_area(problem: AllocationProblem, cfg: LaserExploreConfig) -> tuple
 def choose_goals(
     belief: LaserBelief,
     poses: Float[np.ndarray, "r 3"],
-    cfg: LaserExploreConfig,
+    cfg: LaserPlan,
     allocate: Allocator,
     *,
     go_home: bool = False,
@@ -437,7 +439,7 @@ def choose_goals(
 def drive(
     belief: LaserBelief,
     poses: Float[np.ndarray, "r 3"],
-    cfg: LaserExploreConfig,
+    cfg: LaserPlan,
     allocate: Allocator,
     *,
     go_home: bool = False,
@@ -503,7 +505,7 @@ def _plan(
     belief: LaserBelief,
     poses: np.ndarray,
     live: np.ndarray,
-    cfg: LaserExploreConfig,
+    cfg: LaserPlan,
     allocate: Allocator,
     *,
     go_home: bool,
@@ -512,7 +514,7 @@ def _plan(
     dead = poses[~belief.alive, :2]
     ground = mapped_ground(belief.grid, poses[live, :2], dead, cfg)
     state.ground, state.planned, state.planned_for = ground, belief.step, tuple(live)
-    open_pieces = [f for f in frontiers(ground, cfg) if not state.barred(f.place, belief.step, waiting=False)]
+    open_pieces = [f for f in frontiers(ground) if not state.barred(f.place, belief.step, waiting=False)]
     pieces = [f for f in open_pieces if not state.barred(f.place, belief.step)] or open_pieces
     belief.memory["given_up"] = state.given_up()
     belief.memory["pockets"] = pockets(ground)
@@ -543,7 +545,7 @@ def _goal(old: Goal | None, new: Goal) -> Goal:
 
 
 def _send_home(
-    state: PlannerState, old: dict[int, Goal], poses: np.ndarray, live: np.ndarray, step: int, cfg: LaserExploreConfig
+    state: PlannerState, old: dict[int, Goal], poses: np.ndarray, live: np.ndarray, step: int, cfg: LaserPlan
 ) -> None:
     """Everybody who is not back yet heads for its start, unless that was given up."""
     if state.home is None or state.ground is None:
@@ -555,26 +557,26 @@ def _send_home(
             state.goals[j] = _goal(old.get(j), Goal(state.home[j], np.zeros((0, 2)), route, step, step))
 
 
-def coverage(belief: LaserBelief, poses: Float[np.ndarray, "r 3"], cfg: LaserExploreConfig) -> Float[np.ndarray, "r 2"]:
+def coverage(belief: LaserBelief, poses: Float[np.ndarray, "r 3"], cfg: LaserPlan) -> Float[np.ndarray, "r 2"]:
     """Balanced tours over all frontiers by the length of the path; every robot heads for the first of its tour."""
     return drive(belief, poses, cfg, by_tours)
 
 
-def nearest(belief: LaserBelief, poses: Float[np.ndarray, "r 3"], cfg: LaserExploreConfig) -> Float[np.ndarray, "r 2"]:
+def nearest(belief: LaserBelief, poses: Float[np.ndarray, "r 3"], cfg: LaserPlan) -> Float[np.ndarray, "r 2"]:
     """Every robot heads for the nearest frontier that no nearer robot has taken: what the others are measured by."""
     return drive(belief, poses, cfg, nearest_first)
 
 
-def paper(belief: LaserBelief, poses: Float[np.ndarray, "r 3"], cfg: LaserExploreConfig) -> Float[np.ndarray, "r 2"]:
+def paper(belief: LaserBelief, poses: Float[np.ndarray, "r 3"], cfg: LaserPlan) -> Float[np.ndarray, "r 2"]:
     """Every robot heads for the frontier of largest J: walls to hold on to, new area, distance from the others."""
     return drive(belief, poses, cfg, by_objective(cfg.w_accuracy))
 
 
-def area(belief: LaserBelief, poses: Float[np.ndarray, "r 3"], cfg: LaserExploreConfig) -> Float[np.ndarray, "r 2"]:
+def area(belief: LaserBelief, poses: Float[np.ndarray, "r 3"], cfg: LaserPlan) -> Float[np.ndarray, "r 2"]:
     """`paper` without its accuracy term."""
     return drive(belief, poses, cfg, by_objective(0.0))
 
 
-def loop(belief: LaserBelief, poses: Float[np.ndarray, "r 3"], cfg: LaserExploreConfig) -> Float[np.ndarray, "r 2"]:
+def loop(belief: LaserBelief, poses: Float[np.ndarray, "r 3"], cfg: LaserPlan) -> Float[np.ndarray, "r 2"]:
     """`coverage`, then every robot drives back to its start, so that loops close."""
     return drive(belief, poses, cfg, by_tours, go_home=True)

@@ -1,7 +1,7 @@
 """The 200 m loop of Hara, Kawata, Ohya and Yuta, simulated, and every method of the paper on it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +9,6 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from ...core import se2
-from ...core.config import config
 from ...core.laser_log import LaserLog
 from ...core.records import Scan, Track, frozen
 from ...core.workers import Progress, no_progress
@@ -24,7 +23,7 @@ from ...laser.scan_matching import FrontEndConfig, allowed_sd
 from ...laser.scan_odometry import ScanOdometry, inside
 from ...mapping.config import LaserConfig
 from ...mapping.laser_mapping import choose_feature, map_laser
-from ...sim.laser import DriveConfig, LaserSimulation, drive, ring, stream
+from ...sim.laser import SCALE_LENGTH, DriveConfig, LaserSimulation, drive, ring, stream
 from ...sim.laser_worlds import CorridorConfig, corridor_world, simulate_corridor
 from .light_edges import at_truth, sharpened
 
@@ -95,13 +94,8 @@ def score(track: Track, truth: Track) -> float:
 GLASS = 0.001  # reflectance by which a pane is known
 
 
-@config
-class HardConfig:
-    """The ring of the other experiments, made hard."""
-
-    corridor: CorridorConfig = field(
-        default_factory=lambda: CorridorConfig(recess=0.0, corner=0.3, drive=DriveConfig(people=3))
-    )
+HARD = CorridorConfig(recess=0.0, corner=0.3, drive=DriveConfig(people=3))
+"""The ring of the other experiments, made hard."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,10 +106,8 @@ class HardDrive:
     kept: Int[np.ndarray, " k"]
 
 
-def simulate_hard(cfg: HardConfig | None = None, seed: int = 0) -> HardDrive:
+def simulate_hard(c: CorridorConfig = HARD, seed: int = 0) -> HardDrive:
     """One drive, the same for the same seed."""
-    cfg = cfg or HardConfig()
-    c = cfg.corridor
     rng = stream(seed, "hard")
     world = corridor_world(c, seed)
     glass = rng.random(len(world.reflectance)) < GLASS_SHARE
@@ -352,7 +344,7 @@ def geometry_bound(sim: LaserSimulation, cfg: CorridorConfig) -> float:
     flush = along_flush_walls(pose, cfg)[1:]
     drift = cfg.drive.drift
     way = np.cumsum(ds)
-    C = drift.scale**2 * np.exp(-np.abs(way[:, None] - way) / drift.scale_length) * ds * ds[:, None]
+    C = drift.scale**2 * np.exp(-np.abs(way[:, None] - way) / SCALE_LENGTH) * ds * ds[:, None]
     C += np.diag(drift.translation**2 * ds)
     left = C[np.ix_(flush, flush)]
     if not flush.all():
@@ -438,7 +430,7 @@ OURS, WIDE, WIDEST = (
 PAIRS = (OURS, WIDE, WIDEST)  # the paper does not print how wrong pairs are kept out
 
 
-def try_gate(seeds: range, hard: HardConfig | None = None, on_progress: Progress = no_progress) -> tuple[GateRow, ...]:
+def try_gate(seeds: range, hard: CorridorConfig = HARD, on_progress: Progress = no_progress) -> tuple[GateRow, ...]:
     """Odometry, and Intensity-ICP without and with the gate for all widths of pairing, on the hard ring."""
     measured: list[list[tuple[float, ...]]] = [[] for _ in range(1 + 2 * len(PAIRS))]
     heads = [("odometry", "Fig. 4", np.nan, np.nan)]

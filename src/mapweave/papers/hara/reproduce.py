@@ -20,11 +20,11 @@ from ...report.style import MUTED, SEQUENTIAL, TRUTH, Target, as_map, colour, fi
 from ...sim.laser_worlds import CorridorConfig
 from ..reproduction import Check, Claim, Drawing, Numbers, Reproduction, Section, question, rule, sentences
 from .experiments import (
+    HARD,
     AlongRow,
     AlphaCurve,
     Bounds,
     GateRow,
-    HardConfig,
     Method,
     Picture,
     alpha_curve,
@@ -566,7 +566,7 @@ def reproduce_hara(
     chosen = methods(particles)
     drives = range(seed, seed + seeds)
     errors, pictures = compare(chosen, drives, seed, on_progress, loop)
-    hard = None if loop is None else HardConfig(corridor=replace(loop, drive=HardConfig().corridor.drive))
+    hard = HARD if loop is None else replace(loop, drive=HARD.drive)
     gate = part(try_gate, drives, hard, on_progress=on_progress)
     along = part(try_along, drives, loop)
     bounds = part(try_bounds, drives, loop, on_progress=on_progress)

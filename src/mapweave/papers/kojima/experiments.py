@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...core import se2
-from ...core.config import config
 from ...core.workers import Progress, no_progress
 from ...fusion.relative_information import Measurement, RelativeLayout, Weights, baseline_pair, measurement
 from . import rls
@@ -26,18 +25,10 @@ from .world import (
 
 UNEQUAL_N = 10  # n
 UNEQUAL_M = 6  # m
+UNEQUAL_TOTAL = 2 * UNEQUAL_N - UNEQUAL_M
 UNEQUAL_ARENA = 1.5  # [m]
 UNEQUAL_SMALLEST = 0.002  # [m]
 UNEQUAL_LARGEST = 0.05  # [m]
-
-
-@config
-class UnequalConfig:
-    """Two maps of n landmarks each, m in common; every landmark of each map has its own deviation, log-uniform."""
-
-    @property
-    def total(self) -> int:
-        return 2 * UNEQUAL_N - UNEQUAL_M
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,11 +46,11 @@ class UnequalMaps:
     cov: Float[np.ndarray, "s 2 d d"]
 
 
-def draw_unequal(cfg: UnequalConfig, count: int, rng: np.random.Generator) -> UnequalMaps:
+def draw_unequal(count: int, rng: np.random.Generator) -> UnequalMaps:
     """`count` worlds whose maps err as their covariances say."""
-    landmarks = rng.uniform(0.0, UNEQUAL_ARENA, (count, cfg.total, 2))
+    landmarks = rng.uniform(0.0, UNEQUAL_ARENA, (count, UNEQUAL_TOTAL, 2))
     frame = rng.uniform([-UNEQUAL_ARENA, -UNEQUAL_ARENA, -np.pi], [UNEQUAL_ARENA, UNEQUAL_ARENA, np.pi], (count, 3))
-    index = (np.arange(UNEQUAL_N), np.r_[np.arange(UNEQUAL_M), np.arange(UNEQUAL_N, cfg.total)])
+    index = (np.arange(UNEQUAL_N), np.r_[np.arange(UNEQUAL_M), np.arange(UNEQUAL_N, UNEQUAL_TOTAL)])
     local = np.stack([landmarks[:, index[0]], se2.act(se2.inverse(frame)[:, None], landmarks[:, index[1]])], axis=1)
     sigma = np.exp(rng.uniform(np.log(UNEQUAL_SMALLEST), np.log(UNEQUAL_LARGEST), (count, 2, UNEQUAL_N)))
     variance = np.repeat(sigma**2, 2, axis=-1)
@@ -277,13 +268,11 @@ def unequal(
     seeds: int,
     rng: np.random.Generator,
     cases: tuple[tuple[Rule, Weights], ...],
-    cfg: UnequalConfig | None = None,
     on_progress: Progress = no_progress,
 ) -> tuple[Unequal, ...]:
     """The same `seeds` worlds fused once for every (rule, weights), each map counted once and without a prior."""
-    cfg = cfg or UnequalConfig()
-    worlds = draw_unequal(cfg, seeds, rng)
-    layout = RelativeLayout(2, cfg.total)
+    worlds = draw_unequal(seeds, rng)
+    layout = RelativeLayout(2, UNEQUAL_TOTAL)
     out = []
     for at, (rule, weights) in enumerate(cases):
         on_progress("unequal maps", at, len(cases))

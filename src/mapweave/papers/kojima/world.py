@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 
 from ...core import se2
-from ...core.config import config
 
 KOJIMA_ARENA = 1.5  # [m]
 KOJIMA_SPEED = 0.05  # [m/s]
@@ -27,7 +26,7 @@ OWN = 3
 SEEN = (np.array([0, 1, 2, 3, 4]), np.array([0, 1, 5, 6, 7]))  # landmarks of either robot, the common two first
 
 
-@config
+@dataclass(frozen=True, slots=True, kw_only=True)
 class KojimaConfig:
     """The paper's Table 1, its misprints mended, and the geometry chosen for it."""
 
