@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 
 import mapweave
+from mapweave.api.compare import _keyframes
 from mapweave.core import se2
 from mapweave.core.errors import DataError, UsageError
 from mapweave.io.ros_map import read_ros_map
+from mapweave.mapping.merge import merge_maps
+from mapweave.mapping.merge_search import MergeConfig
 from mapweave.sim.laser import DriveConfig, WallStyle, WorldBuilder, drive, through
 
 from ..laser.team_logs import office
@@ -58,6 +61,17 @@ def test_a_box_put_there_and_one_taken_away_are_found_where_they_are(hall, tmp_p
         layer = read_ros_map(tmp_path / "changes" / f"{kind}.yaml")
         assert np.hypot(*(layer.occupied() - middle(PUT if kind == "new" else TAKEN)).T).max() < 0.8
     assert (tmp_path / "changes" / "report.html").stat().st_size > 10_000
+
+
+def test_where_submaps_fit_elsewhere_too_it_is_told_how_sure_the_place_is(hall):
+    one, other = (_keyframes(result, result.components[0], "") for result in hall[:2])
+    merged = merge_maps(one, other, MergeConfig(sure=0.5))
+    assert merged.merged
+    assert merged.grounds.others
+    sure = 0.5 * (merged.grounds.probability() + merged.grounds.alone().probability())
+    told = merge_maps(one, other, MergeConfig(sure=sure)).reason
+    assert f"and {merged.grounds.others} on another" in told
+    assert told.endswith(f"% sure, {100 * sure:.0f} % are asked")
 
 
 @pytest.mark.slow

@@ -9,8 +9,8 @@ from laser_pairs import PairConfig, drive_pair
 from mapweave.core import se2
 from mapweave.core.walls import Walls
 from mapweave.laser.robot_graph import RobotGraph
+from mapweave.mapping import weave as weaving
 from mapweave.mapping.map_overlap import keyframe_map
-from mapweave.mapping.merge_search import MergeConfig
 from mapweave.mapping.weave import weave
 from mapweave.sim.laser_worlds import office_floor
 
@@ -69,7 +69,7 @@ def test_robots_that_meet_are_woven_and_a_stranger_stays_alone():
     assert not alone.merges
 
 
-def test_ties_of_submaps_that_overlap_count_as_so_many_measurements_as_they_are():
+def test_ties_of_submaps_that_overlap_count_as_so_many_measurements_as_they_are(monkeypatch):
     floor = office_floor(600.0, 3)
     walls = Walls.of(floor.world.segments)
     made = drive_pair(walls, floor.lower + 4.0, floor.upper - 4.0, 0.8, np.random.default_rng([3, 3]), CFG)
@@ -79,8 +79,9 @@ def test_ties_of_submaps_that_overlap_count_as_so_many_measurements_as_they_are(
     assert len(held) > 4
     within = sum(len(r) - 1 for r in robots)
     ties = woven.joint.graph.information[within:]
-    least = min(MergeConfig().ties_alike, len(held))
+    least = min(weaving.TIES_ALIKE, len(held))
     assert np.allclose(ties, np.array([c.information for c in held]) / least)
     sd = np.sqrt(np.trace(woven.joint.covariances()[len(robots[0])][:2, :2]))
-    each = weave(robots, MergeConfig(ties_alike=1.0))
+    monkeypatch.setattr(weaving, "TIES_ALIKE", 1.0)
+    each = weave(robots)
     assert sd > 1.2 * np.sqrt(np.trace(each.joint.covariances()[len(robots[0])][:2, :2]))

@@ -5,7 +5,7 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.mapping.merge import merge_as_said, merge_maps
-from mapweave.mapping.merge_search import MergeConfig, Start
+from mapweave.mapping.merge_search import Start
 from mapweave.mapping.merge_trust import LEAST, Grounds
 
 from ..laser.test_merge import office_pair
@@ -58,7 +58,7 @@ def test_where_a_start_or_somebody_decides_there_is_no_probability(pair):
     given = merge_maps(pair.a, pair.b, start=start)
     assert given.merged
     assert given.probability_wrong is None
-    said = merge_as_said(pair.a, pair.b, pair.transform, MergeConfig())
+    said = merge_as_said(pair.a, pair.b, pair.transform)
     assert said.row()["probability_wrong"] is None
 
 

@@ -34,7 +34,7 @@ from ..mapping.config import LaserConfig
 from ..mapping.decisions import Decisions
 from ..mapping.georeference import georeferenced, starts_of
 from ..mapping.merge import Merge
-from ..mapping.merge_search import MergeConfig, Start
+from ..mapping.merge_search import LEAST_ALIKE, MergeConfig, Start
 from ..mapping.redecide import redecided
 from ..mapping.segments import still_apart
 from ..mapping.weave import weave
@@ -309,7 +309,7 @@ def woven_result(
         *findings,
         *overruled,
         *placed.findings,
-        *(found for m in merges for found in _told_of(m, cfg.merge)),
+        *(found for m in merges for found in _told_of(m)),
         *copies_found([m.graph for m in stored if m.graph is not None]),
         *(_apart(components) if merge else ()),
     ]
@@ -403,10 +403,10 @@ def _as_said(
     return out, Decisions(logs, tuple(pairs), tuple(kept), masks), findings
 
 
-def _told_of(merge: Merge, cfg: MergeConfig) -> list[Finding]:
+def _told_of(merge: Merge) -> list[Finding]:
     """Where somebody's word on two robots is not what their scans say."""
     pair = f"{robot_name(merge.a)} and {robot_name(merge.b)}"
-    if merge.said == "together" and (merge.alike or 0.0) < cfg.alike:
+    if merge.said == "together" and (merge.alike or 0.0) < LEAST_ALIKE:
         told: dict[str, float | str] = {"pair": pair, "alike": 100.0 * (merge.alike or 0.0)}
         return [Finding("merge-contradicted", None, None, told, "they are merged as it was said")]
     if merge.said == "apart" and merge.scans:

@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from ..core import se2
-from ..core.config import config
 from ..core.errors import DataError
 from ..core.gaussian import symmetrise
 from ..core.records import frozen, owned
@@ -37,7 +36,7 @@ PLACE_TEMPER = 0.1  # of the points that count as independent
 PLACE_FLOOR = (0.02, 0.02, 0.00523598775598299)  # [m, m, rad], 0.3 degrees: sd that no match is better than
 
 
-@config
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PlaceConfig:
     """How places are searched. A field's value at distance d [m] and difference dq is
     `exp(-(d^2 + (q_weight dq)^2) / 2 sigma^2)`.

@@ -44,7 +44,7 @@ class PairTrial(NamedTuple):
     def run(self) -> Merge:
         """What the maps say of each other."""
         maps = [
-            KeyframeMap(name, pose, [_as_stored(p) for p in points], cfg=self.cfg.overlap)
+            KeyframeMap(name, pose, [_as_stored(p) for p in points])
             for name, pose, points in zip((self.a, self.b), self.poses, self.points, strict=True)
         ]
         return merge_maps(maps[0], maps[1], self.cfg, self.start)

@@ -13,7 +13,7 @@ from ..core import se2
 from ..laser.place_search import Fit
 from .keyframe_graph import ELSEWHERE, KeyframeGraph
 from .map_overlap import KeyframeMap
-from .merge_search import Hypothesis, MergeConfig, apart, candidates, same_place
+from .merge_search import AGREE, AGREE_TURN, LEAST_ALIKE, Hypothesis, apart, candidates, same_place
 from .segments import GAP, LONG
 
 LEAD = 2.0  # times the evidence of any other place that leaves no doubt
@@ -36,7 +36,7 @@ def decide_borders(graph: KeyframeGraph) -> tuple[int, ...]:
     alone = graph.copy()
     alone.closures = [c for c, within in zip(graph.closures, low == high, strict=True) if within]
     alone.settle()
-    cfg, unclear = MergeConfig(), []
+    unclear = []
     for s, k in enumerate(cuts, start=1):
         after, over = np.flatnonzero(segment == s), np.flatnonzero((high == s) & (low < s)).tolist()
         if not over or graph.nodes[k].border == GAP or graph.path[after[-1]] - graph.path[k] < LONG:
@@ -44,14 +44,14 @@ def decide_borders(graph: KeyframeGraph) -> tuple[int, ...]:
         a = _map(graph, np.arange(k), np.asarray(graph.pose[:k]))
         b = _map(graph, after, np.asarray(se2.between(alone.pose[k], alone.pose[after])))
         found = [_hypothesis(graph, n, k, b) for n in over]
-        ways = [(c.evidence(cfg.alike), c) for c in candidates(a, b, found, cfg)]
+        ways = [(c.evidence(LEAST_ALIKE), c) for c in candidates(a, b, found)]
         most, best = max(ways, key=lambda way: way[0])
         if most <= 0.0:
             continue
-        others = [e for e, c in ways if not same_place(b, c.transform, best.transform, cfg)]
+        others = [e for e, c in ways if not same_place(b, c.transform, best.transform)]
         if LEAD * max(others, default=0.0) > most:
             unclear.append(k)
-        away = apart(b, found, best.transform, 2.0 * cfg.agree, 2.0 * cfg.agree_turn) > 1.0
+        away = apart(b, found, best.transform, 2.0 * AGREE, 2.0 * AGREE_TURN) > 1.0
         false = [n for n, is_away in zip(over, away.tolist(), strict=True) if is_away]
         for n in false:
             share = f"{100.0 * best.seen.share:.0f} % of what both sides saw is alike"

@@ -10,7 +10,6 @@ from ..laser.scan_matching import FrontEndConfig
 from .keyframe_graph import KeyframeGraphConfig
 from .known_places import KnownPlacesConfig
 from .merge_search import MergeConfig
-from .places import PlaceSearchConfig
 
 DRIFTING = StepNoise(wheels_xy=0.1, wheels_turn_per_m=0.03, wheels_turn=0.1, drift_xy=0.005, drift_turn=0.001)
 """Steps of any robot's log: wheels that may be poor, front ends that see half the circle."""
@@ -27,7 +26,6 @@ class GraphConfig:
     keyframe_graph: KeyframeGraphConfig = KeyframeGraphConfig(
         resolve_share=0.15, keyframes=KeyframeConfig(distance=0.4, turn=0.4, noise=DRIFTING)
     )
-    places: PlaceSearchConfig = PlaceSearchConfig()
     known_places: KnownPlacesConfig = KnownPlacesConfig()
     joint: JointPassConfig = JointPassConfig()
 

@@ -100,7 +100,7 @@ def init(
         particles,
         KeyframeGraph(g.keyframe_graph, np.zeros((1, 3))),
         Borders(),
-        _search(cfg, feature),
+        _search(feature),
         KnownPlaces(g.known_places),
         feature,
         calibration,
@@ -165,9 +165,9 @@ def so_far(state: GraphState, cfg: LaserConfig, *, covariances: bool = True) -> 
     return _robot_graph(grown, grown.graph.pose, cov, sensors[grown.keyframes], cfg.graph.unsure)
 
 
-def _search(cfg: LaserConfig, feature: str) -> LoopFinder:
+def _search(feature: str) -> LoopFinder:
     """The search for loops among submaps, of which there are none yet."""
-    return LoopFinder(PlaceIndex(cfg.graph.places), light=feature in STEERING)
+    return LoopFinder(PlaceIndex(), light=feature in STEERING)
 
 
 def _filtering(cfg: LaserConfig) -> LaserConfig:
@@ -250,7 +250,7 @@ def _along_lineage(
     grown = replace(
         state,
         graph=KeyframeGraph(cfg.graph.keyframe_graph, np.zeros((1, 3))),
-        loops=_search(cfg, state.feature),
+        loops=_search(state.feature),
         known=KnownPlaces(cfg.graph.known_places),
         keyframes=[],
         revisits=[],

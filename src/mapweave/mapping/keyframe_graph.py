@@ -181,7 +181,7 @@ class KeyframeGraph:
 
     def place(self, k: int) -> Place:
         """Keyframe `k` and those its robot made before and after it, in its frame."""
-        _c, node = self.cfg.closures, self.nodes[k]
+        node = self.nodes[k]
         of = self.of[node.robot]
         near = of[max(0, node.number - PLACE_AROUND) : node.number + PLACE_AROUND + 1]
         rel = se2.between(self.pose[k], self.pose[near])

@@ -11,7 +11,6 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ..core import se2
-from ..core.config import config
 from ..core.errors import DataError
 from ..core.findings import Finding
 from ..core.records import frozen
@@ -36,22 +35,13 @@ OFTEN = 3  # views that show a wall, and that go through it: neither was somebod
 PATCH, BESIDE = 1.5, 0.45  # [m] wide at least are walls drawn twice, of points this near: doors and people are not
 SEEN_THROUGH = 0.015  # of the walls of a right map at most: 30 of 31 real ones have 0.011; 50 of 55 bent ones more
 TWICE = 2  # views that say something of a wall, from which on it counts in what a map says of itself
-VIEWS = 200  # keyframes whose views are asked for that
+ASKED = 60  # keyframes whose views are asked, at most,
+VIEWS = 200  # and of a map by itself
 MOST_BINS, LEAST_BINS = 360, 60  # directions of a keyframe's view, wider than its beams are apart
+WALLS_MEET = 0.2  # [m] within which walls overlap
+LIT_LEAST = 150  # points of walls that meet, at least, whose brightness is compared,
+LIT_UNEVEN = 0.05  # and the standard deviation of their brightness, at least
 FEW = 10  # walls within reach of a view that says nothing of them
-
-
-@config
-class OverlapConfig:
-    """When one robot's views and another's walls agree under a transform, and when they contradict each other."""
-
-    views: int = 60  # keyframes whose views are asked, at most
-    wall: float = 0.2  # [m] within which walls overlap
-    lit: int = 150  # points of walls that meet, at least, whose brightness is compared,
-    uneven: float = 0.05  # and the standard deviation of their brightness, at least
-
-
-OVERLAP = OverlapConfig()
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +63,7 @@ class KeyframeMap:
     pose: Float[np.ndarray, "n 3"]
     points: Sequence[Float[np.ndarray, "_ 2"]]
     q: Sequence[Float[np.ndarray, " _"]] | None = None
-    cfg: OverlapConfig = OVERLAP
+    asked: int = ASKED
     border: Sequence[str] = ()
     submaps: tuple[PlaceSubmap, ...] = field(init=False, repr=False)
     path: Float[np.ndarray, " n"] = field(init=False)
@@ -96,7 +86,7 @@ class KeyframeMap:
         object.__setattr__(self, "walls_side", frozen(self._sides()))
         object.__setattr__(self, "views", frozen(self._views()))
         object.__setattr__(self, "submaps", tuple(self._submaps()))
-        same, through = _judged(self, self.walls, self.walls_side, self.cfg)
+        same, through = _judged(self, self.walls, self.walls_side)
         seen, both = np.maximum(same, through) >= OFTEN, np.minimum(same, through) >= OFTEN
         lined = (self.walls_side != 0.0).any(axis=1)  # legs of tables and chairs are not
         wide = _patched(self.walls[both & lined])
@@ -143,20 +133,18 @@ class KeyframeMap:
         return views
 
 
-def keyframe_map(
-    graph: RobotGraph, cfg: OverlapConfig = OVERLAP, keep: Int[np.ndarray, " k"] | None = None
-) -> KeyframeMap:
+def keyframe_map(graph: RobotGraph, keep: Int[np.ndarray, " k"] | None = None, asked: int = ASKED) -> KeyframeMap:
     """The keyframes of one robot, or those to `keep`, as merging wants them."""
     keep = np.arange(len(graph)) if keep is None else keep
     rows = [graph.rows(i) for i in keep.tolist()]
     q = None if graph.q is None else [graph.q[r] for r in rows]
     border = [graph.border[i] for i in keep.tolist()]
-    return KeyframeMap(graph.robot, graph.pose[keep], [graph.points[r] for r in rows], q, cfg, border)
+    return KeyframeMap(graph.robot, graph.pose[keep], [graph.points[r] for r in rows], q, asked, border)
 
 
 def seen_through(graph: RobotGraph) -> tuple[Finding, ...]:
     """Whether a robot saw through more of its own walls than people, who stand nowhere for long, and doors explain."""
-    share = keyframe_map(graph, replace(OVERLAP, views=VIEWS)).through if len(graph) else 0.0
+    share = keyframe_map(graph, asked=VIEWS).through if len(graph) else 0.0
     return (Finding("walls-seen-through", graph.robot, None, 100.0 * share),) if share > SEEN_THROUGH else ()
 
 
@@ -180,23 +168,21 @@ class SeenAlike:
         return self.alike / max(self.alike + self.through, 1)
 
 
-def seen_alike(
-    a: KeyframeMap, b: KeyframeMap, transform: Float[np.ndarray, "3"], cfg: OverlapConfig = OVERLAP
-) -> SeenAlike:
+def seen_alike(a: KeyframeMap, b: KeyframeMap, transform: Float[np.ndarray, "3"]) -> SeenAlike:
     """What each robot's views say of the other's walls, where b's map lies at `transform` in a's.
 
     Of the two directions the one that agrees less counts.
     """
-    one = _views_of_walls(a, b, transform, cfg)
-    other = _views_of_walls(b, a, se2.inverse(transform), cfg)
+    one = _views_of_walls(a, b, transform)
+    other = _views_of_walls(b, a, se2.inverse(transform))
     least = one if one.share <= other.share else other
     return replace(least, clear=min(one.clear, other.clear), walled=min(one.walled, other.walled))
 
 
-def _views_of_walls(a: KeyframeMap, b: KeyframeMap, transform: np.ndarray, cfg: OverlapConfig) -> SeenAlike:
+def _views_of_walls(a: KeyframeMap, b: KeyframeMap, transform: np.ndarray) -> SeenAlike:
     """Walls of b in the views of a."""
     walls = se2.act(transform, b.walls)
-    same, through = _judged(a, walls, b.walls_side @ se2.rotation(float(transform[2])).T, cfg)
+    same, through = _judged(a, walls, b.walls_side @ se2.rotation(float(transform[2])).T)
     judged = same + through > 0
     unlike = walls[judged & (same < through)]
     away = unlike[np.asarray(cKDTree(a.walls).query(unlike)[0]) > CLOSE] if len(unlike) else unlike
@@ -206,7 +192,7 @@ def _views_of_walls(a: KeyframeMap, b: KeyframeMap, transform: np.ndarray, cfg: 
 
 
 def _judged(
-    a: KeyframeMap, walls: Float[np.ndarray, "w 2"], side: Float[np.ndarray, "w 2"], cfg: OverlapConfig
+    a: KeyframeMap, walls: Float[np.ndarray, "w 2"], side: Float[np.ndarray, "w 2"]
 ) -> tuple[Int[np.ndarray, " w"], Int[np.ndarray, " w"]]:
     """How many views of a see each of these walls, and how many see through it, in the frame of a.
 
@@ -217,14 +203,12 @@ def _judged(
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     around = np.asarray(cKDTree(walls).query_ball_point(a.pose[:, :2], VIEW_REACH, return_length=True))
     near = np.flatnonzero(around > FEW)
-    near = near[spread(len(near), cfg.views)]
+    near = near[spread(len(near), a.asked)]
     args = VIEW_REACH, SAME_WALL, SAME_WALL_SHARE, VIEW_THROUGH, SIDED
     return judge_walls(a.pose[near], a.views[near], np.ascontiguousarray(walls), np.ascontiguousarray(side), *args)
 
 
-def lit_alike(
-    a: KeyframeMap, b: KeyframeMap, transform: Float[np.ndarray, "3"], cfg: OverlapConfig = OVERLAP
-) -> float | None:
+def lit_alike(a: KeyframeMap, b: KeyframeMap, transform: Float[np.ndarray, "3"]) -> float | None:
     """Correlation of the brightness of walls that meet where b lies at `transform` in a.
 
     None where too few meet or have a brightness, or all are equally bright.
@@ -232,20 +216,18 @@ def lit_alike(
     if a.walls_q is None or b.walls_q is None or not len(a.walls) or not len(b.walls):
         return None
     far, at = cKDTree(a.walls).query(se2.act(transform, b.walls))
-    met = far < cfg.wall
+    met = far < WALLS_MEET
     one, other = a.walls_q[np.asarray(at)[met]], b.walls_q[met]
-    if len(one) < cfg.lit or min(np.std(one), np.std(other)) < cfg.uneven:
+    if len(one) < LIT_LEAST or min(np.std(one), np.std(other)) < LIT_UNEVEN:
         return None
     return float(np.corrcoef(one, other)[0, 1])
 
 
-def wall_overlap(
-    walls: Float[np.ndarray, "m 2"], b: KeyframeMap, transform: Float[np.ndarray, "3"], cfg: OverlapConfig = OVERLAP
-) -> float:
+def wall_overlap(walls: Float[np.ndarray, "m 2"], b: KeyframeMap, transform: Float[np.ndarray, "3"]) -> float:
     """Share of b's walls that lie on `walls` of map a, or of those on b's, whichever is more."""
     other = se2.act(transform, b.cloud(0.1)[0])
     to_walls, to_other = cKDTree(walls).query(other)[0], cKDTree(other).query(walls)[0]
-    return float(max(np.mean(to_walls < cfg.wall), np.mean(to_other < cfg.wall)))
+    return float(max(np.mean(to_walls < WALLS_MEET), np.mean(to_other < WALLS_MEET)))
 
 
 def _patched(points: Float[np.ndarray, "p 2"]) -> Bool[np.ndarray, " p"]:

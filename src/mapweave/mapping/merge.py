@@ -22,6 +22,13 @@ from ..laser.place_search import refine
 from .map_overlap import KeyframeMap, seen_alike, wall_overlap
 from .merge_ambiguity import Grip, Pair, allowed, doubtful, grip, words
 from .merge_search import (
+    AGREE,
+    AGREE_TURN,
+    BEND_TURN,
+    DRIFT,
+    DRIFT_TURN,
+    KNOWN_ALIKE,
+    START_SDS,
     Candidate,
     Hypothesis,
     MergeConfig,
@@ -39,6 +46,11 @@ from .merge_trust import Grounds
 SAID_SD, SAID_SD_TURN = 0.1, 0.03  # [m], [rad] of a transform that somebody tells,
 NUDGE, NUDGE_TURN = 0.5, 0.1  # [m], [rad] that walls may move it by
 MOST_CLOSURES = 80  # places of one transform that are asked whether they confirm it
+KNOWN_VOTES = 3  # submaps that confirm, at least, inside the window of a start that was given
+START_ALONG = 1.0  # [m] sd, at most, of a start that alone holds maps along a corridor
+LEAST_SEEN = 100  # points that both saw alike, at least
+BEND_PATH = 0.02  # [m] that a map is bent between two of its keyframes, beside how it drifts
+CYCLE_GATE = 4.0 * 11.34  # squared sd of a cycle: twice the 99 % of 3 degrees of freedom in sd, maps bend
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,10 +141,9 @@ def merge_maps(a: KeyframeMap, b: KeyframeMap, cfg: MergeConfig | None = None, s
     start: where b is said to lie in a: searched first; of places that fit alike it decides. Where nothing fits there,
     the scans alone decide.
     """
-    cfg = cfg or MergeConfig()
     if len(b.pose) > len(a.pose) and start is None:  # a start tells where b began: seen from b it would be vague
         return _swapped(merge_maps(b, a, cfg))
-    pair = Pair(a, b, whole_place(a, cfg, featured=b.q is not None), cfg)
+    pair = Pair(a, b, whole_place(a, featured=b.q is not None), (cfg or MergeConfig()).sure)
     if start is None:
         return _decided(pair)
     near = _decided(pair._replace(start=start))
@@ -144,19 +155,19 @@ def merge_maps(a: KeyframeMap, b: KeyframeMap, cfg: MergeConfig | None = None, s
         reason = f"near the start that was given: {near.reason}; everywhere: {free.reason}{held}"
         return held if isinstance(held, Merge) else replace(free, reason=reason)
     away = se2.between(start.transform, free.transform)
-    if (np.abs(away) > cfg.start_sds * np.asarray(start.sd)).any():
+    if (np.abs(away) > START_SDS * np.asarray(start.sd)).any():
         how_far = f"{np.hypot(*away[:2]):.2f} m and {np.degrees(abs(away[2])):.1f} degrees"
         free = replace(free, reason=f"{free.reason}; the scans overrule the start that was given, by {how_far}")
     return free
 
 
-def merge_as_said(a: KeyframeMap, b: KeyframeMap, T: Float[np.ndarray, "3"], cfg: MergeConfig) -> Merge:
+def merge_as_said(a: KeyframeMap, b: KeyframeMap, T: Float[np.ndarray, "3"]) -> Merge:
     """The two maps merged where somebody says that b lies in a, moved a little where its walls lie on those of a."""
-    place = whole_place(a, cfg, featured=False)
+    place = whole_place(a, featured=False)
     laid = refine(place, b.walls, T).pose
     away = se2.between(T, laid)
     T = laid if np.hypot(*away[:2]) <= NUDGE and abs(away[2]) <= NUDGE_TURN else np.asarray(T, dtype=float)
-    seen = seen_alike(a, b, T, cfg.overlap)
+    seen = seen_alike(a, b, T)
     P = np.diag(np.square([SAID_SD, SAID_SD, SAID_SD_TURN]))
     told = "said to be together"
     return Merge(
@@ -166,7 +177,7 @@ def merge_as_said(a: KeyframeMap, b: KeyframeMap, T: Float[np.ndarray, "3"], cfg
         reason=f"{told}: {seen.share:.0%} of what both robots saw there is alike",
         transform=frozen(T),
         covariance=frozen(P),
-        overlap=wall_overlap(place.points, b, T, cfg.overlap),
+        overlap=wall_overlap(place.points, b, T),
         agreeing=1,
         alike=seen.share,
         best=frozen(T),
@@ -193,21 +204,21 @@ def _held_by_start(pair: Pair, near: Merge, free: Merge) -> Merge | str:
     near, free: what was decided near the start and everywhere. The reason goes on after theirs; it is empty where
     neither found a corridor.
     """
-    a, b, place, cfg, start = pair[:5]
+    a, b, place, _, start = pair[:5]
     slid = [merge for merge in (near, free) if merge.reason.startswith("a corridor")]
     if not slid or start is None:
         return ""
     away = "; the start alone does not hold them: "
-    if (way := along_start(a, b, place, start, cfg)) is None or not start.near(way.transform, cfg):
+    if (way := along_start(a, b, place, start)) is None or not start.near(way.transform):
         return away + "no wall of theirs lies on another where it puts them"
     T = way.transform
-    seen = seen_alike(a, b, T, cfg.overlap)
-    if seen.alike < cfg.least_seen:
-        return away + f"where it puts them both saw {seen.alike} points of the same walls, {cfg.least_seen} are needed"
-    if seen.share < cfg.known_alike:
-        return away + f"{seen.share:.0%} of what both saw there is alike, {cfg.known_alike:.0%} are needed"
-    if way.sd > cfg.start_along:
-        return away + f"it says where along the corridor to {way.sd:.2f} m, {cfg.start_along:.2f} m are needed"
+    seen = seen_alike(a, b, T)
+    if seen.alike < LEAST_SEEN:
+        return away + f"where it puts them both saw {seen.alike} points of the same walls, {LEAST_SEEN} are needed"
+    if seen.share < KNOWN_ALIKE:
+        return away + f"{seen.share:.0%} of what both saw there is alike, {KNOWN_ALIKE:.0%} are needed"
+    if way.sd > START_ALONG:
+        return away + f"it says where along the corridor to {way.sd:.2f} m, {START_ALONG:.2f} m are needed"
     why = "it confirms the transform: the start that was given, and the walls across it"
     tie = _tie(a, b, T, way.covariance, slid[0].score or 0.0, seen.share, why)
     degrees = np.degrees(np.arctan2(way.along[1], way.along[0])) % 180.0
@@ -220,7 +231,7 @@ def _held_by_start(pair: Pair, near: Merge, free: Merge) -> Merge | str:
         reason=f"merged on the start that was given: a corridor, {direction} (standard deviation)",
         transform=frozen(T),
         covariance=frozen(way.covariance),
-        overlap=wall_overlap(place.points, b, T, cfg.overlap),
+        overlap=wall_overlap(place.points, b, T),
         agreeing=1,
         chi2=None,
         alike=seen.share,
@@ -231,33 +242,33 @@ def _held_by_start(pair: Pair, near: Merge, free: Merge) -> Merge | str:
 
 def _decided(pair: Pair) -> Merge:
     """The decision on the places that submaps of either map have in the other."""
-    a, b, _, cfg, _ = pair[:5]
-    matches = hypotheses(a, b, cfg)
+    a, b = pair.a, pair.b
+    matches = hypotheses(a, b)
     if not matches:
         reason = f"too little overlap: none of {len(b.submaps)} submaps is found in the other map"
         return Merge(a.robot, b.robot, False, reason, grounds=Grounds() if pair.start is None else None)
-    return _weighed(pair, candidates(a, b, matches, cfg), matches)
+    return _weighed(pair, candidates(a, b, matches), matches)
 
 
 def _weighed(pair: Pair, ways: Sequence[Candidate], matches: Sequence[Hypothesis]) -> Merge:
     """The decision between transforms."""
-    a, b, place, cfg, start = pair[:5]
+    a, b, place, _, start = pair[:5]
     pair = pair.lit_by(ways)
     best = max(ways, key=pair.preference)
-    if start is not None and not start.near(best.transform, cfg):
+    if start is not None and not start.near(best.transform):
         elsewhere = f"{robot_name(b.robot)} at {words(best.transform)} in the map of {robot_name(a.robot)}"
         return Merge(a.robot, b.robot, False, f"no place fits there as well as elsewhere: {elsewhere}")
     checked = _closures(pair, best, matches)
     held = [h for h, c in checked if c.accepted]
     if len(held) > 1:
-        best = candidate(a, b, held, cfg)._replace(votes=best.votes)
+        best = candidate(a, b, held)._replace(votes=best.votes)
     pair = pair.levelled(best)
-    others = [c for c in ways if not same_place(b, c.transform, best.transform, cfg)]
+    others = [c for c in ways if not same_place(b, c.transform, best.transform)]
     rival = max(others, key=lambda c: (allowed(pair, c, best), pair.against(c, best)), default=None)
     hold = grip(pair, best) if best.seen.alike else None
     grounds = _grounds(pair, best, others, rival, hold)
-    if start is None and not held and grounds.probability() >= cfg.sure:
-        checked += [(h, _closure(a, b, h, best, cfg, whole=True)) for h in best.members[:1]]
+    if start is None and not held and grounds.probability() >= pair.sure:
+        checked += [(h, _closure(a, b, h, best, whole=True)) for h in best.members[:1]]
         held = [h for h, c in checked if c.accepted]
     score = _score(held or best.members)
     merge = Merge(
@@ -265,7 +276,7 @@ def _weighed(pair: Pair, ways: Sequence[Candidate], matches: Sequence[Hypothesis
         b.robot,
         merged=False,
         reason="",
-        overlap=wall_overlap(place.points, b, best.transform, cfg.overlap),
+        overlap=wall_overlap(place.points, b, best.transform),
         score=score,
         second=None if rival is None else _score(rival.members) / score,
         agreeing=len(held),
@@ -310,15 +321,15 @@ def _why_refused(
 
     hold: how the place holds, None where the robots saw nothing in common.
     """
-    cfg, seen = pair.cfg, best.seen
-    few = seen.alike < cfg.least_seen
+    seen = best.seen
+    few = seen.alike < LEAST_SEEN
     if pair.start is None:
-        good, enough = (g.probability() >= cfg.sure and not few for g in (grounds.alone(), grounds))
-        contradicted = not good and grounds.alone().uncontradicted().probability() >= cfg.sure
+        good, enough = (g.probability() >= pair.sure and not few for g in (grounds.alone(), grounds))
+        contradicted = not good and grounds.alone().uncontradicted().probability() >= pair.sure
     else:
-        good, enough = seen.share >= cfg.known_alike and not few, merge.agreeing >= cfg.known_votes
-        contradicted = not good and seen.alike + seen.through >= cfg.least_seen
-    if good and hold is not None and hold.slides(cfg):
+        good, enough = seen.share >= KNOWN_ALIKE and not few, merge.agreeing >= KNOWN_VOTES
+        contradicted = not good and seen.alike + seen.through >= LEAST_SEEN
+    if good and hold is not None and hold.slides():
         return f"a corridor: {hold.along} is not held, the maps may slide along it"
     if good and rival is not None and doubtful(pair, best, rival):
         which = f"two places of {robot_name(pair.b.robot)} in the map of {robot_name(pair.a.robot)}"
@@ -331,6 +342,12 @@ def _why_refused(
             f"{words(best.transform)} in the map of {robot_name(pair.a.robot)}, each robot saw "
             f"through walls of the other ({100 * best.seen.share:.0f} % alike)"
         )
+    if good and not enough and grounds.others:
+        return (
+            f"too little overlap: {merge.agreeing} submaps agree on a place, where {100 * seen.share:.0f} % of what "
+            f"both robots saw is alike, and {grounds.others} on another: {100 * grounds.probability():.0f} % sure, "
+            f"{100 * pair.sure:.0f} % are asked"
+        )
     if not good or not enough:
         return (
             f"too little overlap: {merge.agreeing} submaps agree on a place, and both robots saw {best.seen.alike} "
@@ -341,11 +358,11 @@ def _why_refused(
 
 def _closures(pair: Pair, best: Candidate, matches: Sequence[Hypothesis]) -> list[tuple[Hypothesis, MapClosure]]:
     """Every place that is clear and lies about where the best transform has it, and whether it confirms that."""
-    a, b, cfg = pair.a, pair.b, pair.cfg
-    far = apart(b, matches, best.transform, 2.0 * cfg.agree, 2.0 * cfg.agree_turn).tolist()
+    a, b = pair.a, pair.b
+    far = apart(b, matches, best.transform, 2.0 * AGREE, 2.0 * AGREE_TURN).tolist()
     near = [h for h, away in zip(matches, far, strict=True) if h.clear and away <= 1.0]
     near = [near[k] for k in spread(len(near), MOST_CLOSURES).tolist()]
-    rows = [_closure(a, b, h, best, cfg) for h in near]
+    rows = [_closure(a, b, h, best) for h in near]
     fit = [k for k, c in enumerate(rows) if c.accepted]
     held = {fit[k] for k in _consistent(pair, [near[k] for k in fit], [rows[k] for k in fit])}
     for k in fit:
@@ -354,9 +371,7 @@ def _closures(pair: Pair, best: Candidate, matches: Sequence[Hypothesis]) -> lis
     return list(zip(near, rows, strict=True))
 
 
-def _closure(
-    a: KeyframeMap, b: KeyframeMap, h: Hypothesis, best: Candidate, cfg: MergeConfig, *, whole: bool = False
-) -> MapClosure:
+def _closure(a: KeyframeMap, b: KeyframeMap, h: Hypothesis, best: Candidate, *, whole: bool = False) -> MapClosure:
     """A hypothesis as a measurement from the nearest keyframe of a. whole: of the whole map, which is believed."""
     pose, near = h.fit.pose, h.at
     e = se2.between(se2.compose(best.transform, b.pose[h.anchor]), pose)
@@ -365,7 +380,7 @@ def _closure(
     reason = "it confirms the transform"
     if whole:
         reason = "it confirms the transform: the whole maps laid on each other"
-    elif np.hypot(*e[:2]) > cfg.agree or abs(e[2]) > cfg.agree_turn:
+    elif np.hypot(*e[:2]) > AGREE or abs(e[2]) > AGREE_TURN:
         reason = f"it lies {np.hypot(*e[:2]):.2f} m and {np.degrees(abs(e[2])):.1f} degrees from the transform"
     return MapClosure(
         first=near,
@@ -385,7 +400,7 @@ def _consistent(pair: Pair, matches: Sequence[Hypothesis], rows: Sequence[MapClo
     """The largest set of closures whose cycles are all within the covariances of matches and trajectories."""
     if not rows:
         return []
-    a, b, _, cfg = pair[:4]
+    a, b = pair.a, pair.b
     first, second = [c.first for c in rows], [c.second for c in rows]
     P = np.array([h.fit.covariance for h in matches])
     squares = cycle_squares(
@@ -393,19 +408,19 @@ def _consistent(pair: Pair, matches: Sequence[Hypothesis], rows: Sequence[MapClo
         b.pose[second],
         np.array([c.measured for c in rows]),
         P,
-        _ways(a, first, cfg),
-        _ways(b, second, cfg),
+        _ways(a, first),
+        _ways(b, second),
     )
-    return list(largest_clique((squares <= cfg.cycle_gate) & ~np.eye(len(rows), dtype=bool)).members)
+    return list(largest_clique((squares <= CYCLE_GATE) & ~np.eye(len(rows), dtype=bool)).members)
 
 
-def _ways(m: KeyframeMap, at: Sequence[int], cfg: MergeConfig) -> np.ndarray:
+def _ways(m: KeyframeMap, at: Sequence[int]) -> np.ndarray:
     """(n, n, 3, 3) covariance of the trajectory between two keyframes by its length: what a map may be bent by."""
     path = m.path[list(at)]
     length = np.abs(path[:, None] - path[None, :])
     out = np.zeros((*length.shape, 3, 3))
-    out[..., 0, 0] = out[..., 1, 1] = np.square(cfg.bend_path + cfg.drift * length)
-    out[..., 2, 2] = np.square(cfg.bend_turn + cfg.drift_turn * np.sqrt(length))
+    out[..., 0, 0] = out[..., 1, 1] = np.square(BEND_PATH + DRIFT * length)
+    out[..., 2, 2] = np.square(BEND_TURN + DRIFT_TURN * np.sqrt(length))
     return out
 
 

@@ -9,10 +9,20 @@ from jaxtyping import Float
 from ..core.names import robot_name
 from ..laser.place_search import LikelihoodField
 from .map_overlap import KeyframeMap, seen_alike
-from .merge_search import Candidate, MergeConfig, Start
+from .merge_search import BLUNDER, KNOWN_ALIKE, LEAST_ALIKE, Candidate, Start
 from .merge_trust import WEIGHTS, Grounds
 
 LENIENT = 2.0  # times what the best place contradicts, at another place leaves no evidence
+RIVAL_LEAD = 5.0  # times the evidence of any other place that is not contradicted
+RIVAL_SHARE = 0.1  # of the best place's points seen alike, at another place the maps allow,
+RIVAL_SEEN = 100  # points alike there at least,
+RIVAL_ALIKE = 0.85  # share of what both saw on which they agree there, and
+RIVAL_CLEAR = 0.98  # share of it, but for points close to walls
+LIGHT_TELLS = 0.6  # correlation of the walls' brightness from which on it tells places apart, and
+LIGHT_RIVAL = 0.5  # of it, where another place has less it is as likely as a false start
+LEAST_HELD = 0.02  # information along the worst direction over that along the best
+SLIDES = (0.8, 1.6, 3.0)  # [m] the map is pushed along its worst direction as a test
+PUSH_LEAD = 2.5  # times the evidence of the same place pushed so
 
 
 class Pair(NamedTuple):
@@ -24,7 +34,7 @@ class Pair(NamedTuple):
     a: KeyframeMap
     b: KeyframeMap
     place: LikelihoodField
-    cfg: MergeConfig
+    sure: float
     start: Start | None = None
     light: float | None = None
     level: float = 1.0
@@ -32,7 +42,7 @@ class Pair(NamedTuple):
     @property
     def alike(self) -> float:
         """Share of what both saw at which a place has no evidence; near a start that was given less will do."""
-        return min(self.cfg.alike if self.start is None else self.cfg.known_alike, self.level)
+        return min(LEAST_ALIKE if self.start is None else KNOWN_ALIKE, self.level)
 
     def levelled(self, best: Candidate) -> "Pair":
         """The same pair, whose places may be contradicted about as much as the best: people walk, and maps bend."""
@@ -43,8 +53,8 @@ class Pair(NamedTuple):
         seen = c.evidence(self.alike)
         if seen <= 0.0:
             return seen
-        likelihood = 1.0 if self.start is None else self.start.likelihood(c.transform, self.cfg)
-        return seen * likelihood * (self.cfg.blunder if self.darkened(c) else 1.0)
+        likelihood = 1.0 if self.start is None else self.start.likelihood(c.transform)
+        return seen * likelihood * (BLUNDER if self.darkened(c) else 1.0)
 
     def against(self, rival: Candidate, best: Candidate) -> float:
         """Evidence of another transform over that of the best, 0 to 1, less where fewer submaps say so."""
@@ -60,14 +70,14 @@ class Pair(NamedTuple):
     def preference(self, c: Candidate) -> float:
         """Of transforms the greatest is asked: logarithm of its odds, and what a start and the brightness say of it."""
         odds = float(self.grounds(c).features() @ np.asarray(WEIGHTS))
-        likelihood = 1.0 if self.start is None else self.start.likelihood(c.transform, self.cfg)
-        return odds + float(np.log(likelihood * (self.cfg.blunder if self.darkened(c) else 1.0)))
+        likelihood = 1.0 if self.start is None else self.start.likelihood(c.transform)
+        return odds + float(np.log(likelihood * (BLUNDER if self.darkened(c) else 1.0)))
 
     def darkened(self, c: Candidate) -> bool:
         """Whether brightness speaks against a transform: walls that meet under it shine unlike, elsewhere alike."""
         if self.light is None or c.light is None:
             return False
-        return self.light >= self.cfg.light and c.light < self.cfg.light_rival * self.light
+        return self.light >= LIGHT_TELLS and c.light < LIGHT_RIVAL * self.light
 
     def lit_by(self, ways: Sequence[Candidate]) -> "Pair":
         """The same pair with `light` set: the best correlation of brightness among these transforms."""
@@ -82,14 +92,14 @@ def allowed(pair: Pair, other: Candidate, best: Candidate) -> bool:
     """
     if pair.start is not None or pair.darkened(other):
         return False
-    cfg, seen = pair.cfg, other.seen
-    enough = seen.alike >= max(cfg.rival_seen, cfg.rival * best.seen.alike)
-    return enough and seen.clear >= cfg.clear and seen.share >= cfg.rival_alike
+    seen = other.seen
+    enough = seen.alike >= max(RIVAL_SEEN, RIVAL_SHARE * best.seen.alike)
+    return enough and seen.clear >= RIVAL_CLEAR and seen.share >= RIVAL_ALIKE
 
 
 def doubtful(pair: Pair, best: Candidate, rival: Candidate) -> bool:
     """Whether the maps might lie as `rival` says; what a start and brightness say is in its evidence."""
-    return pair.cfg.lead * pair.against(rival, best) > 1.0 or allowed(pair, rival, best)
+    return RIVAL_LEAD * pair.against(rival, best) > 1.0 or allowed(pair, rival, best)
 
 
 class Grip(NamedTuple):
@@ -103,14 +113,14 @@ class Grip(NamedTuple):
     held: float
     pushed: float
 
-    def slides(self, cfg: MergeConfig) -> bool:
+    def slides(self) -> bool:
         """Whether the maps may be pushed along it without contradiction."""
-        return self.held < cfg.held or cfg.push_lead * self.pushed > 1.0
+        return self.held < LEAST_HELD or PUSH_LEAD * self.pushed > 1.0
 
 
 def grip(pair: Pair, best: Candidate) -> Grip:
     """How a place holds that is allowed."""
-    cfg, alike = pair.cfg, pair.alike
+    alike = pair.alike
     total = np.zeros((2, 2))
     for h in best.members:
         across = np.array([-h.fit.weak[1], h.fit.weak[0]])
@@ -121,10 +131,10 @@ def grip(pair: Pair, best: Candidate) -> Grip:
         f"{robot_name(pair.a.robot)}"
     )
     held = float(values[0]) / max(float(values[1]), 1e-12)
-    if held < cfg.held:
+    if held < LEAST_HELD:
         return Grip(along, held, 1.0)
-    pushes = [sign * step * np.array([*vectors[:, 0], 0.0]) for step in cfg.slide for sign in (-1.0, 1.0)]
-    seen = [seen_alike(pair.a, pair.b, best.transform + push, cfg.overlap) for push in pushes]
+    pushes = [sign * step * np.array([*vectors[:, 0], 0.0]) for step in SLIDES for sign in (-1.0, 1.0)]
+    seen = [seen_alike(pair.a, pair.b, best.transform + push) for push in pushes]
     most = max(best._replace(seen=there).evidence(alike) for there in seen)
     return Grip(along, held, max(most, 0.0) / max(best.evidence(alike), 1e-12))
 

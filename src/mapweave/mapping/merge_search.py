@@ -16,7 +16,6 @@ from ..laser.consistency import adjoint, largest_clique
 from ..laser.place_search import (
     Fit,
     LikelihoodField,
-    PlaceConfig,
     Window,
     likelihood_field,
     refine,
@@ -24,59 +23,35 @@ from ..laser.place_search import (
 )
 from ..laser.pose_graph import PoseGraph
 from ..laser.robust_graph import RobustGraphConfig, solve_graph
-from .map_overlap import KeyframeMap, OverlapConfig, SeenAlike, lit_alike, seen_alike
-from .places import PlaceIndex, PlaceMatch, PlaceSearchConfig
+from .map_overlap import KeyframeMap, SeenAlike, lit_alike, seen_alike
+from .places import PlaceIndex, PlaceMatch
 
 MOST_MATCHES = 250  # pairs of submaps that candidates are made of, those that fit best
 WALLS = 0.05  # [m] points of a whole map are means of squares this wide
 WHOLE = 1000  # points of a whole map that are searched with
 ALONG_TIMES = 2  # maps are moved along a corridor to where a start has them, and laid on its walls again
+AGREE = 0.6  # [m] and
+AGREE_TURN = 0.1  # [rad] that hypotheses which agree may differ at each other's place
+MOST_CANDIDATES = 40  # transforms looked into
+LEAST_ALIKE = 0.9  # share of what both saw alike at which a place has no evidence
+KNOWN_ALIKE = 0.8  # the same near a start that was given
+START_SDS = 3.0  # standard deviations of a start within which it is looked for,
+START_REACH = 1.0  # [m] and
+START_TURN = 0.2  # [rad] to either side at least
+SLIPPED = (0.3, 0.3, 0.05)  # [m, m, rad] that a map's first keyframes may be off the rest, beside what a start may be
+BLUNDER = 0.05  # chance that a start is false: what its likelihood never falls below
+DRIFT = 0.01  # [m per m] sd of a map's own trajectories,
+DRIFT_TURN = 0.002  # [rad per sqrt m] and of their headings,
+BEND = 0.03  # [m] to which this is added where maps meet,
+BEND_TURN = 0.002  # [rad] in headings,
+BEND_SUBMAP = 0.005  # [rad] in headings of submaps
 
 
 @config
 class MergeConfig:
-    agree: float = 0.6  # [m] and
-    agree_turn: float = 0.1  # [rad] that hypotheses which agree may differ at each other's place
-    candidates: int = 40  # transforms looked into
     sure: float = 0.9  # probability from which on maps are one
-    known_votes: int = 3  # submaps that confirm, at least, inside the window of a start that was given
-    known_alike: float = 0.8  # share of what both saw on which they agree there,
-    start_along: float = 1.0  # [m] sd, at most, of a start that alone holds maps along a corridor
-    start_sds: float = 3.0  # standard deviations of a start within which it is looked for,
-    start_reach: float = 1.0  # [m] and
-    start_turn: float = 0.2  # [rad] to either side at least
     start_sd: float = 0.5  # [m] and
     start_turn_sd: float = 0.1  # [rad] standard deviations of a start that is given without
-    slip: float = 0.3  # [m] and
-    slip_turn: float = 0.05  # [rad] that a map's first keyframes may be off the rest, beside what a start may be off
-    blunder: float = 0.05  # chance that a start is false: what its likelihood never falls below
-    lead: float = 5.0  # times the evidence of any other place that is not contradicted
-    push_lead: float = 2.5  # times that of the same place pushed along its worst direction
-    clear: float = 0.98  # share of it, but for points close to walls, at a place the maps allow,
-    rival: float = 0.1  # of the best place's points seen alike, at another place the maps allow,
-    rival_seen: int = 100  # points alike there at least, and
-    rival_alike: float = 0.85  # share of what both saw on which they agree there
-    light: float = 0.6  # correlation of the walls' brightness from which on it tells places apart, and
-    light_rival: float = 0.5  # of it, where another place has less it is as likely as a false start
-    alike: float = 0.9  # share of what both saw alike at which a place has no evidence
-    least_seen: int = 100  # points that both saw alike, at least
-    held: float = 0.02  # information along the worst direction over that along the best
-    slide: tuple[float, ...] = (0.8, 1.6, 3.0)  # [m] the map is pushed along its worst direction as a test
-    ties_alike: float = 12.0  # submaps that confirm count as one measurement, since their errors are alike
-    drift: float = 0.01  # [m per m] sd of a map's own trajectories,
-    drift_turn: float = 0.002  # [rad per sqrt m] and of their headings,
-    bend: float = 0.03  # [m] to which this is added where maps meet,
-    bend_turn: float = 0.002  # [rad] in headings,
-    bend_submap: float = 0.005  # [rad] in headings of submaps,
-    bend_path: float = 0.02  # [m] and between two keyframes of one map
-    cycle_gate: float = 4.0 * 11.34  # squared sd of a cycle: twice the 99 % of 3 degrees of freedom in sd, maps bend
-    places: PlaceSearchConfig = PlaceSearchConfig()
-    place: PlaceConfig = PlaceConfig()
-    overlap: OverlapConfig = OverlapConfig()
-
-    @property
-    def slipped(self) -> tuple[float, float, float]:
-        return self.slip, self.slip, self.slip_turn
 
 
 class Start(NamedTuple):
@@ -85,19 +60,19 @@ class Start(NamedTuple):
     transform: Float[np.ndarray, "3"]
     sd: Float[np.ndarray, "3"]
 
-    def near(self, T: Float[np.ndarray, "3"], cfg: MergeConfig) -> bool:
+    def near(self, T: Float[np.ndarray, "3"]) -> bool:
         """Whether it allows a transform, which lies within some standard deviations, or as near as is searched."""
-        sd, e = cfg.start_sds * np.asarray(self.sd), se2.between(self.transform, T)
-        reach = max(cfg.start_sds * np.hypot(*self.sd[:2]), cfg.start_reach)
-        return bool(np.hypot(*e[:2]) <= reach and abs(e[2]) <= max(sd[2], cfg.start_turn))
+        sd, e = START_SDS * np.asarray(self.sd), se2.between(self.transform, T)
+        reach = max(START_SDS * np.hypot(*self.sd[:2]), START_REACH)
+        return bool(np.hypot(*e[:2]) <= reach and abs(e[2]) <= max(sd[2], START_TURN))
 
-    def likelihood(self, T: Float[np.ndarray, "3"], cfg: MergeConfig) -> float:
-        """Of a transform, 1 where it is said to be; never under `cfg.blunder`, the chance that what was said is false.
+    def likelihood(self, T: Float[np.ndarray, "3"]) -> float:
+        """Of a transform, 1 where it is said to be; never under `BLUNDER`, the chance that what was said is false.
 
         What a map slips in its first metres counts as error of the start too.
         """
-        e = se2.between(self.transform, T) / np.hypot(np.asarray(self.sd), cfg.slipped)
-        return float(cfg.blunder + (1.0 - cfg.blunder) * np.exp(-0.5 * e @ e))
+        e = se2.between(self.transform, T) / np.hypot(np.asarray(self.sd), SLIPPED)
+        return float(BLUNDER + (1.0 - BLUNDER) * np.exp(-0.5 * e @ e))
 
 
 def start_between(starts: Mapping[int, Start], i: int, j: int) -> Start | None:
@@ -145,15 +120,15 @@ class Candidate(NamedTuple):
         return self.seen.alike - alike / (1.0 - alike) * self.seen.through
 
 
-def whole_place(a: KeyframeMap, cfg: MergeConfig, *, featured: bool) -> LikelihoodField:
+def whole_place(a: KeyframeMap, *, featured: bool) -> LikelihoodField:
     """All walls of a map as one place; with brightness when it has some and it is `featured`."""
     cloud, q = a.cloud(WALLS, a.q if featured else None)
-    return likelihood_field(cloud, q, cfg.place)
+    return likelihood_field(cloud, q)
 
 
-def hypotheses(a: KeyframeMap, b: KeyframeMap, cfg: MergeConfig) -> list[Hypothesis]:
+def hypotheses(a: KeyframeMap, b: KeyframeMap) -> list[Hypothesis]:
     """Where the submaps of b may lie in those of a: the best and the next best place of each pair of them."""
-    index = PlaceIndex(cfg.places)
+    index = PlaceIndex()
     for submap in a.submaps:
         index.add(submap)
     found = []
@@ -172,29 +147,29 @@ def _hypothesis(a: KeyframeMap, b: KeyframeMap, index: PlaceIndex, match: PlaceM
     return Hypothesis(at, anchor, transform, match.score, match.ratio, fit, match.clear)
 
 
-def candidates(a: KeyframeMap, b: KeyframeMap, matches: Sequence[Hypothesis], cfg: MergeConfig) -> list[Candidate]:
+def candidates(a: KeyframeMap, b: KeyframeMap, matches: Sequence[Hypothesis]) -> list[Candidate]:
     """The transforms that most hypotheses agree on, each from hypotheses of its own; most evidence first."""
     matches = [
         matches[k] for k in np.argsort([-h.score - h.clear for h in matches], kind="stable")[:MOST_MATCHES].tolist()
     ]
-    agreeing = agreement(b, matches, cfg)
+    agreeing = agreement(b, matches)
     ways = np.array([h.transform for h in matches]).reshape(-1, 3)
     anchor, clear = np.array([h.anchor for h in matches]), np.array([h.clear for h in matches])
     left = list(range(len(matches)))
     out: list[Candidate] = []
-    while left and len(out) < cfg.candidates:
+    while left and len(out) < MOST_CANDIDATES:
         members = largest_clique(agreeing[np.ix_(left, left)]).members
         if len(members) < 2:  # of single ones the best scores, of those that are clear
             left.sort(key=lambda k: (not clear[k], -matches[k].score))
             members = (0,)
         group = [matches[left[k]] for k in members]
-        new = candidate(a, b, group, cfg)
-        agree = anchor[clear & (apart(b, matches, new.transform, cfg.agree, cfg.agree_turn) <= 1.0)]
+        new = candidate(a, b, group)
+        agree = anchor[clear & (apart(b, matches, new.transform, AGREE, AGREE_TURN) <= 1.0)]
         out.append(new._replace(votes=len(set(agree.tolist()))))
-        gone = same_place(b, ways, new.transform, cfg)
+        gone = same_place(b, ways, new.transform)
         gone[[left[k] for k in members]] = True
         left = [k for k in left if not gone[k]]
-    return sorted(out, key=lambda c: -c.evidence(cfg.alike))
+    return sorted(out, key=lambda c: -c.evidence(LEAST_ALIKE))
 
 
 def _shifted(pose: Float[np.ndarray, "3"], u: Float[np.ndarray, "2"], to: Float[np.ndarray, "3"]) -> np.ndarray:
@@ -214,23 +189,21 @@ class AlongStart(NamedTuple):
     sd: float
 
 
-def along_start(
-    a: KeyframeMap, b: KeyframeMap, place: LikelihoodField, start: Start, cfg: MergeConfig
-) -> AlongStart | None:
+def along_start(a: KeyframeMap, b: KeyframeMap, place: LikelihoodField, start: Start) -> AlongStart | None:
     """The place near a start in a corridor, whose walls hold nothing along it; None where no wall fits."""
-    window = _start_window(start, np.zeros(3), cfg)
+    window = _start_window(start, np.zeros(3))
     thin = b.walls[spread(len(b.walls), WHOLE)]
     close = search(place, thin, window).best
     if close is None:
         return None
-    ways = [_whole(a, b, place, at, close.score, cfg) for at in (window.centre, close.pose)]
-    fit = refine(place, b.walls, max(ways, key=lambda c: c.evidence(cfg.known_alike)).transform)
+    ways = [_whole(a, b, place, at, close.score) for at in (window.centre, close.pose)]
+    fit = refine(place, b.walls, max(ways, key=lambda c: c.evidence(KNOWN_ALIKE)).transform)
     for _ in range(ALONG_TIMES):
         u = fit.weak
         fit = refine(place, b.walls, _shifted(fit.pose, u, start.transform))
     u, across = fit.weak, np.array([-fit.weak[1], fit.weak[0]])
     said = se2.rotation(float(start.transform[2])).T @ u
-    sd = np.hypot(np.asarray(start.sd), cfg.slipped)
+    sd = np.hypot(np.asarray(start.sd), SLIPPED)
     # the start's heading may err at the other end of the line between the origins
     variance = float(np.square(said * sd[:2]).sum() + (sd[2] * (across @ start.transform[:2])) ** 2)
     T = _shifted(fit.pose, u, start.transform)
@@ -238,38 +211,34 @@ def along_start(
     A = np.eye(3)
     A[:2, :2] -= np.outer(v, v)
     there = int(np.argmin(cKDTree(a.pose[:, :2]).query(se2.compose(T, b.pose)[:, :2])[0]))
-    bent = cfg.bend_turn + cfg.drift_turn * np.sqrt(float(np.ptp(a.path) + np.ptp(b.path)))
+    bent = BEND_TURN + DRIFT_TURN * np.sqrt(float(np.ptp(a.path) + np.ptp(b.path)))
     swung = bent * float(np.hypot(*b.pose[there, :2]) + np.hypot(*T[:2]))  # bent from where they meet to the origins
-    P = fit.covariance + np.diag(np.square([cfg.bend + swung, cfg.bend + swung, bent]))
+    P = fit.covariance + np.diag(np.square([BEND + swung, BEND + swung, bent]))
     P = A @ P @ A.T
     P[:2, :2] += variance * np.outer(v, v)
     return AlongStart(T, symmetrise(P), u, float(np.sqrt(variance)))
 
 
-def _whole(
-    a: KeyframeMap, b: KeyframeMap, place: LikelihoodField, start: np.ndarray, score: float, cfg: MergeConfig
-) -> Candidate:
+def _whole(a: KeyframeMap, b: KeyframeMap, place: LikelihoodField, start: np.ndarray, score: float) -> Candidate:
     """All walls of b laid onto those of a from `start` on, as one hypothesis."""
     fit = refine(place, b.walls, start)
     at = se2.compose(fit.pose, b.pose)
     tree = cKDTree(a.pose[:, :2])
     anchor = int(np.argmin(tree.query(at[:, :2])[0]))
     far = np.abs(b.path - b.path[anchor]).max()
-    bent = cfg.bend_turn + 0.5 * cfg.drift_turn * np.sqrt(far)
-    P = symmetrise(fit.covariance + np.diag(np.square([cfg.bend, cfg.bend, bent])))
+    bent = BEND_TURN + 0.5 * DRIFT_TURN * np.sqrt(far)
+    P = symmetrise(fit.covariance + np.diag(np.square([BEND, BEND, bent])))
     A = adjoint(se2.inverse(b.pose[anchor]))
     seen_there = replace(fit, pose=at[anchor], covariance=symmetrise(A @ P @ A.T))
     there = int(np.argmin(np.hypot(*(a.pose[:, :2] - at[anchor, :2]).T)))
     member = Hypothesis(there, anchor, fit.pose, score, 0.0, seen_there)
-    return Candidate(
-        fit.pose, P, 0.0, (member,), seen_alike(a, b, fit.pose, cfg.overlap), lit_alike(a, b, fit.pose, cfg.overlap)
-    )
+    return Candidate(fit.pose, P, 0.0, (member,), seen_alike(a, b, fit.pose), lit_alike(a, b, fit.pose))
 
 
-def candidate(a: KeyframeMap, b: KeyframeMap, group: Sequence[Hypothesis], cfg: MergeConfig) -> Candidate:
+def candidate(a: KeyframeMap, b: KeyframeMap, group: Sequence[Hypothesis]) -> Candidate:
     """The transform on which a group of hypotheses meets."""
-    T, P, chi2 = meeting(b, group, cfg)
-    return Candidate(T, P, chi2, tuple(group), seen_alike(a, b, T, cfg.overlap), lit_alike(a, b, T, cfg.overlap))
+    T, P, chi2 = meeting(b, group)
+    return Candidate(T, P, chi2, tuple(group), seen_alike(a, b, T), lit_alike(a, b, T))
 
 
 def apart(
@@ -282,7 +251,7 @@ def apart(
     return np.asarray(np.maximum(np.hypot(e[:, 0], e[:, 1]) / xy, np.abs(e[:, 2]) / turn))
 
 
-def agreement(b: KeyframeMap, matches: Sequence[Hypothesis], cfg: MergeConfig) -> Bool[np.ndarray, "n n"]:
+def agreement(b: KeyframeMap, matches: Sequence[Hypothesis]) -> Bool[np.ndarray, "n n"]:
     """Which hypotheses put each other's submap into the same place; those of one submap never do."""
     if not matches:
         return np.zeros((0, 0), dtype=bool)
@@ -293,24 +262,24 @@ def agreement(b: KeyframeMap, matches: Sequence[Hypothesis], cfg: MergeConfig) -
     own = se2.compose(T, at)
     d = se2.between(own[None, :], here)
     far = np.abs(b.path[anchor][:, None] - b.path[anchor][None, :])
-    near = (np.hypot(d[..., 0], d[..., 1]) <= cfg.agree + cfg.drift * far) & (
-        np.abs(d[..., 2]) <= cfg.agree_turn + cfg.drift_turn * np.sqrt(far)
+    near = (np.hypot(d[..., 0], d[..., 1]) <= AGREE + DRIFT * far) & (
+        np.abs(d[..., 2]) <= AGREE_TURN + DRIFT_TURN * np.sqrt(far)
     )
     return np.asarray(near & near.T & (anchor[:, None] != anchor[None, :]))
 
 
 def same_place(
-    b: KeyframeMap, ways: Float[np.ndarray, "... 3"], other: Float[np.ndarray, "3"], cfg: MergeConfig
+    b: KeyframeMap, ways: Float[np.ndarray, "... 3"], other: Float[np.ndarray, "3"]
 ) -> Bool[np.ndarray, "..."]:
     """Whether transforms put the middle of b's way where another does, twice the agreement apart at most."""
     middle = np.array([*b.pose[:, :2].mean(axis=0), 0.0])
     d = se2.between(se2.compose(ways, middle), se2.compose(other, middle))
-    near = np.hypot(d[..., 0], d[..., 1]) <= 2.0 * cfg.agree
-    return np.asarray(near & (np.abs(d[..., 2]) <= 2.0 * cfg.agree_turn))
+    near = np.hypot(d[..., 0], d[..., 1]) <= 2.0 * AGREE
+    return np.asarray(near & (np.abs(d[..., 2]) <= 2.0 * AGREE_TURN))
 
 
 def meeting(
-    b: KeyframeMap, group: Sequence[Hypothesis], cfg: MergeConfig
+    b: KeyframeMap, group: Sequence[Hypothesis]
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"], float]:
     """T_a_b on which a group of hypotheses meets, its covariance in b's frame, and their chi-square.
 
@@ -320,8 +289,8 @@ def meeting(
     z, information = [], []
     for h in group:
         far = abs(float(b.path[h.anchor]) - middle)
-        aside = cfg.bend + cfg.drift * far
-        bent = np.array([aside, aside, cfg.bend_submap + cfg.drift_turn * np.sqrt(far)])
+        aside = BEND + DRIFT * far
+        bent = np.array([aside, aside, BEND_SUBMAP + DRIFT_TURN * np.sqrt(far)])
         A = adjoint(b.pose[h.anchor])
         z.append(h.transform)
         information.append(symmetrise(np.linalg.inv(A @ (h.fit.covariance + np.diag(bent**2)) @ A.T)))
@@ -335,8 +304,8 @@ def meeting(
     return T, symmetrise(R.T @ covariance @ R), solved.chi2
 
 
-def _start_window(start: Start, pose: np.ndarray, cfg: MergeConfig) -> Window:
+def _start_window(start: Start, pose: np.ndarray) -> Window:
     """Some standard deviations round where the start puts a keyframe."""
-    sd = np.maximum(cfg.start_sds * np.asarray(start.sd), [cfg.start_reach, cfg.start_reach, cfg.start_turn])
+    sd = np.maximum(START_SDS * np.asarray(start.sd), [START_REACH, START_REACH, START_TURN])
     reach = float(np.hypot(sd[0], sd[1]) + min(float(sd[2]), 1.0) * np.hypot(*pose[:2]))
     return Window(se2.compose(start.transform, pose), (reach, reach), float(sd[2]))

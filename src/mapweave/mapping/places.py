@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..core import se2
-from ..core.config import config
 from ..core.gaussian import symmetrise
 from ..kernels.laser.place_refine import lay_onto_lines
 from ..kernels.laser.place_search import FULL, stamp
@@ -51,7 +50,7 @@ ACROSS = 0.1  # [m] step and smoothing of how far walls of one direction lie to 
 FIELD = PlaceConfig(cell=0.2, sigma=0.2, q_weight=0.4, widths=GATES, gate=0.5, inlier=0.15)
 
 
-@config
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PlaceSearchConfig:
     """What of a pair of submaps is looked at, and what is taken for one place until the graph decides."""
 

@@ -21,6 +21,8 @@ from .merge import NUDGE, NUDGE_TURN, Merge, merge_as_said, merge_maps
 from .merge_search import MergeConfig, Start, start_between
 from .segments import pieces_of
 
+TIES_ALIKE = 12.0  # submaps that confirm count as one measurement, since their errors are alike
+
 
 @dataclass(frozen=True, slots=True)
 class Woven:
@@ -86,7 +88,7 @@ def weave(
         decided = _decided((i, j), robots, of, frames, tried, known, said)
         for decision in decided:
             if decision.transform is not None:
-                graph = graph.joined(_ties(decision, start, int(offset[i]), int(offset[j]), cfg.ties_alike))
+                graph = graph.joined(_ties(decision, start, int(offset[i]), int(offset[j]), TIES_ALIKE))
         merges += [_as_one(decided)] if decided else []
     placed = np.array(start)
     for k, robot in enumerate(robots):
@@ -188,7 +190,7 @@ class _Trials:
         executor: Executor | None,
     ) -> None:
         self.pieces, self.cfg, self.starts = pieces, cfg, starts
-        self.maps = [keyframe_map(robots[piece.robot], cfg.overlap, piece.rows) for piece in pieces]
+        self.maps = [keyframe_map(robots[piece.robot], piece.rows) for piece in pieces]
         self.running = {
             (p, q): executor.submit(merge_maps, self.maps[p], self.maps[q], cfg, self._start(p, q))
             for p, q in combinations(range(len(pieces)), 2)
@@ -215,7 +217,7 @@ class _Trials:
                 f"robots {row.a} and {row.b} are said to be {TOGETHER}, and no place of one is found in the other: "
                 "expected the pose of the second in the first's map"
             )
-        return self._numbered(p, q, merge_as_said(self.maps[p], self.maps[q], pose, self.cfg))
+        return self._numbered(p, q, merge_as_said(self.maps[p], self.maps[q], pose))
 
     def _start(self, p: int, q: int) -> Start | None:
         first = not self.pieces[p].rows[0] and not self.pieces[q].rows[0]

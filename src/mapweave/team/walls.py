@@ -131,7 +131,7 @@ def _near_the_layout(
     for body in layout.bodies:
         mine = [k for k, robot in enumerate(robots) if robot in body.tracks]
         group = {k: k for k in mine}
-        maps = {k: keyframe_map(scanned[robots[k]].graph, cfg.merge.overlap) for k in mine} if len(mine) > 1 else {}
+        maps = {k: keyframe_map(scanned[robots[k]].graph) for k in mine} if len(mine) > 1 else {}
         for j in mine:
             for i in mine[: mine.index(j)]:
                 if group[i] == group[j]:
