@@ -3,16 +3,14 @@
 import gc
 import os
 import sys
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import nullcontext, suppress
 from io import TextIOWrapper
 from typing import TYPE_CHECKING
 
 from ..core.version import __version__
-from .terminal import FlowingHelp, Interruption, warn
+from .terminal import FlowingHelp, Interruption, nothing_collected, warn
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from cyclopts import App
 
     from .from_verb import Command
@@ -74,6 +72,8 @@ def main(tokens: list[str] | None = None) -> None:
             if not interruption.asked:
                 raise
             code = _failed(error, asked=True)  # what was raised came of it
+    if tokens is None:
+        gc.freeze()  # all that was imported goes with the process: Python looks through it once more else
     sys.exit(code)
 
 
@@ -107,7 +107,7 @@ def _run(tokens: list[str], interruption: Interruption | None = None) -> int:
     from ..core.errors import MapweaveError
 
     try:
-        with _nothing_collected() if HELP & {*tokens} or not tokens else nullcontext():
+        with nothing_collected() if HELP & {*tokens} or not tokens else nullcontext():
             app = make_app()
             app(tokens, exit_on_error=False, print_error=False)
     except (CycloptsError, MapweaveError, MemoryError, KeyboardInterrupt) as error:
@@ -123,18 +123,6 @@ def _run(tokens: list[str], interruption: Interruption | None = None) -> int:
             return _stop_writing()
         return done.code if isinstance(done.code, int) else 0
     return 0
-
-
-@contextmanager
-def _nothing_collected() -> "Iterator[None]":
-    """What help imports and renders all stays until it is printed: to look through it is a fifteenth of the time."""
-    collects = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if collects:
-            gc.enable()
 
 
 def _missing(error: BaseException) -> str:

@@ -20,7 +20,7 @@ from cyclopts import Parameter
 
 from ..core.config_text import own_meanings
 from ..core.errors import VerdictError
-from .terminal import progress, say, until_interrupted
+from .terminal import nothing_collected, progress, say, until_interrupted
 
 PACKAGE = Path(__file__).parent.parent
 PLAIN: dict[str, Any] = {
@@ -127,7 +127,8 @@ def make(name: str, command: Command) -> Callable[..., None]:
 def _run(command: Command, given: dict[str, Any], taken: Mapping[str, Given]) -> None:
     if command.before is not None:
         command.before(given)
-    verb = _thing(command.verb)
+    with nothing_collected():
+        verb = _thing(command.verb)
     said = command.said or summary_and_report
     call = command.call or (lambda verb, asked: verb(**{name: asked[name] for name in asked if name in taken}))
     with (
