@@ -31,7 +31,7 @@ from .result import load
 
 KINDS = {"new": (colour(2), "walls that are new"), "gone": (colour(5), "walls that are gone")}
 MOST_TOLD = 12  # changes or decisions in the summary
-SAID = 0.75  # probability that will do of maps said to be of one place: odds before looking three times a pair's
+SAID = 0.25  # probability that will do of maps said to be of one place, where things were moved: odds of 27 for 9
 DECISION = ("what", "before", "after", "why before", "why after")
 
 
