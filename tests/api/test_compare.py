@@ -11,8 +11,9 @@ from mapweave.api.compare import _keyframes
 from mapweave.core import se2
 from mapweave.core.errors import DataError, UsageError
 from mapweave.io.ros_map import read_ros_map
+from mapweave.mapping import merge
 from mapweave.mapping.merge import merge_maps
-from mapweave.mapping.merge_search import MergeConfig
+from mapweave.mapping.merge_search import MergeConfig, Start
 from mapweave.sim.laser import DriveConfig, WallStyle, WorldBuilder, drive, through
 
 from ..laser.team_logs import office
@@ -63,7 +64,7 @@ def test_a_box_put_there_and_one_taken_away_are_found_where_they_are(hall, tmp_p
     assert (tmp_path / "changes" / "report.html").stat().st_size > 10_000
 
 
-def test_where_submaps_fit_elsewhere_too_it_is_told_how_sure_the_place_is(hall):
+def test_where_submaps_fit_elsewhere_too_it_is_told_how_sure_the_place_is(hall, monkeypatch):
     one, other = (_keyframes(result, result.components[0], "") for result in hall[:2])
     merged = merge_maps(one, other, MergeConfig(sure=0.5))
     assert merged.merged
@@ -72,6 +73,9 @@ def test_where_submaps_fit_elsewhere_too_it_is_told_how_sure_the_place_is(hall):
     told = merge_maps(one, other, MergeConfig(sure=sure)).reason
     assert f"and {merged.grounds.others} on another" in told
     assert told.endswith(f"% sure, {100 * sure:.0f} % are asked")
+    monkeypatch.setattr(merge, "KNOWN_VOTES", 99)  # near a start it is submaps that are asked for
+    near = merge_maps(one, other, MergeConfig(sure=sure), Start(np.zeros(3), np.array([0.5, 0.5, 0.1]))).reason
+    assert "points of walls there; everywhere:" in near
 
 
 @pytest.mark.slow

@@ -132,7 +132,7 @@ class PlaceMatcher:
         )
 
     def _search(self, b: Beams, predicted: np.ndarray, sd: np.ndarray) -> np.ndarray:
-        """The best of a grid of starts around the predicted pose, as far as the configuration says."""
+        """The best of a grid of starts around the predicted pose, as far as it is unsure."""
         fe = self.front_end
         thin = slice(None, None, max(1, len(b.q) // CLOSURE_SEARCH_BEAMS))
         s, normal, q = (np.ascontiguousarray(a[thin]) for a in (b.s, b.normal, b.q))

@@ -15,6 +15,7 @@ from ..fusion.config import FuseConfig
 from ..fusion.online import OnlineFuser
 from ..fusion.result import Component
 from ..landmarks.landmark_map import LocalMap, Submap
+from ..team.relative_frame import UNMOVED
 from .columns import unpack, unpack_triangle
 from .inbox import Ledger
 from .isolation import in_words, without_culprits
@@ -27,7 +28,6 @@ from .tiles import COARSER, TileKey
 
 LASER, LANDMARKS = "laser", "landmarks"
 Part = tuple[str, int]  # the kind of its robots, and its number among those of that kind
-UNMOVED = (np.zeros(3), np.zeros((3, 3)))
 
 
 class Fused(NamedTuple):

@@ -11,14 +11,13 @@ from ..core.config import config
 from ..laser.closures import Closure, ClosureConfig, Matched, Place
 from ..laser.keyframes import Keyframe, KeyframeConfig, carried
 from ..laser.pose_graph import PoseGraph, Solved, edge_factor, problem
-from ..laser.robust_graph import RobustGraphConfig, solve_graph
+from ..laser.robust_graph import CONTRADICTION, RobustGraphConfig, solve_graph
 from .places import PlaceMatch
 from .segments import GAP, REFUSED, border_covariance
 
 PLACE_AROUND = 5  # keyframes on either side of the old one that its local map is made of
 PLACE_WITHIN = 4.0  # [m] from the old keyframe that they stand at most
 CLOSURE_KERNEL = 3.0  # [sd] width of the robust kernel
-CLOSURE_CONTRADICTION = 16.27  # squared residual [sd^2] after optimising beyond which a closure is dropped
 JITTER_XY = 0.002  # [m] sd of every keyframe's place, which no step inherits
 JITTER_TURN = 0.001  # [rad] sd of its heading
 RESOLVE_LEAST = 8  # new keyframes from which on the graph is solved anew, at least
@@ -399,7 +398,7 @@ class KeyframeGraph:
             return False
         squares = edge_factor(closed, "closures").squares(self.pose.ravel())
         worst = int(np.argmax(squares))
-        if squares[worst] <= CLOSURE_CONTRADICTION:
+        if squares[worst] <= CONTRADICTION:
             return False
         at = [p for p, c in enumerate(self.closures) if c.accepted][worst]
         reason = f"it contradicts the other measurements by {np.sqrt(squares[worst]):.1f} standard deviations"

@@ -52,11 +52,11 @@ class KeyframeMap:
     driven up to each; walls: (w, 2) [m] points in the map's frame, thinned, but for those that the robot itself saw
     through later or before: people who walked by, doors that moved; walls_q: (w,) their brightness;
     walls_side: (w, 2) unit normals on the side they were seen from, zero where that was both or they make no line;
-    views: (n, bins) [m] of each keyframe the nearest return in each direction, infinite where there is none; cfg: how
-    thin walls are and when they have a side; border: of each keyframe why a new segment begins there (none: nowhere
-    one does); submaps: what it is recognised by, none over a border; through: share of its walls that make lines,
-    those that some views show, which other views go through over the width of a wall; own: share of its walls that more
-    of its views go through than show: people, and things that moved.
+    views: (n, bins) [m] of each keyframe the nearest return in each direction, infinite where there is none; asked: how
+    many of them, at most, tell what was seen through; border: of each keyframe why a new segment begins there (none:
+    nowhere one does); submaps: what it is recognised by, none over a border; through: share of its walls that make
+    lines, those that some views show, which other views go through over the width of a wall; own: share of its walls
+    that more of its views go through than show: people, and things that moved.
     """
 
     robot: str

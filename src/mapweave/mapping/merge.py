@@ -342,7 +342,7 @@ def _why_refused(
             f"{words(best.transform)} in the map of {robot_name(pair.a.robot)}, each robot saw "
             f"through walls of the other ({100 * best.seen.share:.0f} % alike)"
         )
-    if good and not enough and grounds.others:
+    if good and not enough and pair.start is None and grounds.others:
         return (
             f"too little overlap: {merge.agreeing} submaps agree on a place, where {100 * seen.share:.0f} % of what "
             f"both robots saw is alike, and {grounds.others} on another: {100 * grounds.probability():.0f} % sure, "

@@ -28,7 +28,8 @@ PUSH_LEAD = 2.5  # times the evidence of the same place pushed so
 class Pair(NamedTuple):
     """Two maps, the walls of the first, a start that was given, and the most that brightness agrees at any place.
 
-    level: share alike at which a place has no evidence, where it is less than the settings ask for.
+    sure: probability from which on they are one; level: share alike at which a place has no evidence, where it is less
+    than is asked for.
     """
 
     a: KeyframeMap
