@@ -14,7 +14,7 @@ from types import CodeType
 import jaxtyping
 from beartype import BeartypeConf, beartype
 
-FIRST, EVERY = 8, 61  # calls of a function in one test that are checked: the first of them, and one in so many after
+FIRST, EVERY = 4, 61  # calls of a function in one test that are checked: the first of them, and one in so many after
 FIRST_NESTED, EVERY_NESTED = 4, 997  # of one defined within another: each time it is defined, its check is made anew
 
 checked = beartype(conf=BeartypeConf(is_pep484_tower=True))
@@ -27,22 +27,7 @@ class _Turn:
     number = 0
 
 
-class _Calls:
-    """How often a function was called since the test or fixture began; which of its calls are checked."""
-
-    __slots__ = ("every", "first", "number", "turn")
-
-    def __init__(self, first: int, every: int) -> None:
-        self.first, self.every, self.number, self.turn = first, every, 0, -1
-
-    def next_is_checked(self) -> bool:
-        if self.turn != _Turn.number:
-            self.number, self.turn = 0, _Turn.number
-        self.number += 1
-        return self.number <= self.first or self.number % self.every == 0
-
-
-_NESTED: dict[CodeType, _Calls] = {}  # counted together however often they are defined
+_NESTED: dict[CodeType, list[int]] = {}  # counted together however often they are defined
 
 
 def begin() -> None:
@@ -52,17 +37,20 @@ def begin() -> None:
 
 def thinned(plain: Callable, check: Callable[[], Callable]) -> Callable:
     """`plain`, some calls of which go to what `check` makes: it checks what it is given and gives back."""
+    first, every, seen = FIRST, EVERY, [0, -1]  # calls since the test or fixture began, and which of them it is
     if "<locals>" in getattr(plain, "__qualname__", ""):
-        calls = _NESTED.setdefault(plain.__code__, _Calls(FIRST_NESTED, EVERY_NESTED))
-    else:
-        calls = _Calls(FIRST, EVERY)
+        first, every = FIRST_NESTED, EVERY_NESTED
+        seen = _NESTED.setdefault(plain.__code__, seen)
     always = None
 
     @functools.wraps(plain)
     def call(*args, **kwargs):
         __tracebackhide__ = True
         nonlocal always
-        if not calls.next_is_checked():
+        if seen[1] != _Turn.number:
+            seen[:] = 0, _Turn.number
+        seen[0] = number = seen[0] + 1
+        if number > first and number % every:
             return plain(*args, **kwargs)
         if always is None:
             always = check()
