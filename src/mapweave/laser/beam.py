@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy import sparse
 
 from ..core import se2
 from ..core.config import config
@@ -417,7 +418,6 @@ def _hats(x: np.ndarray, knots: np.ndarray) -> np.ndarray:
 
 def _centred(Z: np.ndarray, cell: np.ndarray, weight: np.ndarray, groups: int) -> tuple[np.ndarray, np.ndarray]:
     """Columns of Z less their weighted mean in each cell; the last column apart."""
-    total = np.bincount(cell, weight, groups)
-    mean = np.column_stack([np.bincount(cell, weight * z, groups) for z in Z.T]) / total[:, None]
-    centred = Z - mean[cell]
+    weighted = sparse.csc_array((weight, cell, np.arange(len(cell) + 1)), shape=(groups, len(cell)))
+    centred = Z - ((weighted @ Z) / np.bincount(cell, weight, groups)[:, None])[cell]
     return centred[:, :-1], centred[:, -1]
