@@ -153,7 +153,7 @@ def test_velocities_lead_from_pose_to_pose_to_the_last_digit():
 @pytest.mark.slow
 def test_mrclam_as_a_recording_gives_the_map_of_mrclam(tmp_path, data):
     whole = read_landmark_logs(data / "mrclam" / "MRCLAM_Dataset6.zip")
-    logs = [log.until(whole[0].span[0] + 200.0) for log in whole]
+    logs = [log.until(whole[0].span[0] + 60.0) for log in whole]
     again = read_landmark_logs(tag_bag(tmp_path / "mrclam.mcap", logs))
     for a, b in zip(logs, again, strict=True):
         assert a.robot == b.robot

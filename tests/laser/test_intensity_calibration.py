@@ -61,11 +61,11 @@ def test_a_log_whose_intensity_says_nothing_is_used_without_it_and_says_so():
 
 @pytest.mark.parametrize("law", [Reflectance(), Reflectance(falloff=2.6, exponent=0.6)], ids=["one law", "another law"])
 def test_a_planted_law_is_found_as_well_as_is_said(law):
-    """Straight corridors, where range and incidence say the same of a wall and hardly tell the law, and longer drives
-    round their corners: errors of one standard deviation in the mean, about.
+    """A straight corridor, where range and incidence say the same of a wall and hardly tell the law, and a longer drive
+    round its corners: errors of one standard deviation in the mean, about.
     """
     gains, exponents, unsure = [], [], []
-    for seed, distance in ((140, 30.0), (141, 40.0), (142, 80.0), (143, 90.0)):
+    for seed, distance in ((140, 30.0), (142, 80.0)):
         sim = simulate_corridor(CorridorConfig(distance=distance, drive=DriveConfig(law=law)), seed=seed)
         scans = [beams(s, "raw", None, BeamConfig()) for s in sim.log.scans]
         found = calibrate(scans, np.array([s.odometry for s in sim.log.scans]))
@@ -77,4 +77,4 @@ def test_a_planted_law_is_found_as_well_as_is_said(law):
         unsure.append(found.exponent_sd)
     assert 0.3 < np.sqrt(np.mean(gains)) < 2.0
     assert 0.3 < np.sqrt(np.mean(exponents)) < 2.0
-    assert min(unsure[:2]) > 1.5 * max(unsure[2:])
+    assert unsure[0] > 1.5 * unsure[1]

@@ -46,8 +46,8 @@ def test_one_robot_maps_less_well_than_two():
 
 @pytest.mark.slow
 def test_one_robot_errs_and_is_unsure_by_more_than_a_quarter_beyond_the_print():
-    """The claim's own 30 layouts: 1.61 and 1.45 times as printed. Eight tell little: their C/N is 0.27 to 0.99 m²."""
-    one = runs(30, 0, robots=1)
+    """The claim's own 30 layouts: 1.61 and 1.45 times as printed; here the first 16."""
+    one = runs(16, 0, robots=1)
     error, spread = PRINTED[1][3:]
     assert np.mean([r.map_error for r in one]) > 1.25 * error
     assert np.mean([r.c_per_n for r in one]) > 1.25 * spread
