@@ -14,6 +14,7 @@ from pathlib import Path
 import docs_figures
 import docs_prose
 import gallery
+import recipes
 from docs_tables import TABLES
 
 TOP = Path(__file__).resolve().parent.parent
@@ -182,6 +183,7 @@ def offences() -> Iterator[str]:
         yield from named_on(page)
     yield from walked()
     yield from pictures()
+    yield from recipes.stale()
     yield from tables()
 
 

@@ -10,6 +10,3 @@ print(result.summary())
 for run in result.runs:
     print(f"seed {run.seed}: {run.steps} steps, map error {run.map_error:.3f} m")
 print(f"mean map error {result.metrics['summary']['map_error_m']:.3f} m")
-
-figure = result.plot()
-print(f"a picture of {len(figure.axes)} axes")

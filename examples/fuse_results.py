@@ -21,10 +21,10 @@ with TemporaryDirectory() as folder:
 
     # What is true may be a table too: here the surveyed landmarks.
     x, y = zip(*team.landmarks.values(), strict=True)
-    score = mapweave.evaluate(together, {"id": list(team.landmarks), "x": x, "y": y})
-    print(f"landmark RMSE {score.metrics['landmark_rmse']:.3f} m")
+    score = mapweave.evaluate(together, {"id": list(team.landmarks), "x": x, "y": y}).metrics
+    print(f"landmark RMSE {score['landmark_rmse']:.3f} m")
 
     # Names alone are no proof: each decision tells its reason.
-    mixed = mapweave.fuse([home / "day1", home / "elsewhere"])
-    for decision in mixed.fusion.decisions:
+    mixed = mapweave.fuse([home / "day1", home / "elsewhere"]).fusion
+    for decision in mixed.decisions:
         print(f"{decision.robot}: {decision.decision}, {decision.reason}")

@@ -7,23 +7,24 @@ import numpy as np
 
 import mapweave
 
-# One simulated drive, cut in two that overlap, stands for two days; the second robot's odometry begins anew at zero.
+# One simulated drive stands for two days: every other scan of its first part, and those between of its last part, whose
+# odometry begins anew at zero.
 log = mapweave.simulate_laser(world=mapweave.OfficeConfig(rooms=3, visited=4), seed=3).log
 
 
-def tables(first, last):
-    """Scans `first` to `last` and their odometry as arrays."""
-    own = [scan.odometry for scan in log.scans[first:last]]
+def tables(some):
+    """The scans of a slice, and their odometry, as arrays."""
+    own = [scan.odometry for scan in log.scans[some]]
     x, y, theta = np.array(own).T
     x, y, c, s = x - x[0], y - y[0], np.cos(theta[0]), np.sin(theta[0])
-    t = log.scan_t[first:last]
-    ranges = np.array([np.where(scan.hit, scan.ranges, np.inf) for scan in log.scans[first:last]])
+    t = log.scan_t[some]
+    ranges = np.array([np.where(scan.hit, scan.ranges, np.inf) for scan in log.scans[some]])
     scans = {"t": t, "ranges": ranges, "angles": log.scans[0].angles(), "range_max": log.scans[0].range_max}
     return scans, {"t": t, "x": c * x + s * y, "y": c * y - s * x, "theta": theta - theta[0]}
 
 
 n = len(log.scans)
-(monday, wheels), (tuesday, more_wheels) = tables(0, int(0.62 * n)), tables(int(0.38 * n), n)
+(monday, wheels), (tuesday, more_wheels) = tables(slice(0, 5 * n // 8, 2)), tables(slice(3 * n // 8 | 1, n, 2))
 
 with TemporaryDirectory() as folder:
     first = Path(folder) / "monday"
