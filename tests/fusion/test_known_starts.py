@@ -5,7 +5,7 @@ import numpy as np
 from mapweave.core import se2
 from mapweave.core.gaussian import is_positive_definite
 from mapweave.fusion.config import START_TOLERANCE
-from mapweave.fusion.result import APART, Component, Decision, Fusion, placed_by_sightings, tie_by_starts
+from mapweave.fusion.result import APART, Component, Decision, Fusion, placed_by, tie_by_starts
 from mapweave.landmarks.landmark_map import LandmarkMap
 
 TOLERANCE = START_TOLERANCE
@@ -71,8 +71,8 @@ def test_a_refused_robot_that_single_sightings_place_is_merged_and_one_that_stay
     )
     fusion = Fusion((), decisions)
     before = [["robot1"], ["robot2"], ["robot3", "robot4"]]
-    told = placed_by_sightings(fusion, before, [["robot1", "robot2"], ["robot3", "robot4"]]).decisions
+    told = placed_by(fusion, "single sightings", before, [["robot1", "robot2"], ["robot3", "robot4"]]).decisions
     assert [d.decision for d in told] == ["reference", "merged", "refused", "refused"]
     assert told[1].reason == "shares fewer than 2 landmarks with the others; placed by single sightings"
-    assert placed_by_sightings(fusion, before, before) == fusion
-    assert placed_by_sightings(fusion, before, []) == fusion
+    assert placed_by(fusion, "single sightings", before, before) == fusion
+    assert placed_by(fusion, "single sightings", before, []) == fusion

@@ -25,5 +25,9 @@ def tag_bag(path, logs):
             x, y = se2.act(se2.inverse(CAMERA), at)[0]
             seen = [(s.ids[s.what[k]], (x, y, 0.3))]
             out.objects(s.t[k], seen, topic=f"/{name}/detections", frame=f"{name}/camera")
+        if log.fixes is not None:
+            out.tf(logs[0].span[0] - 1.0, f"{name}/base", f"{name}/gps", x=-0.3, y=0.1, topic=f"/{name}/tf_static")
+            for t, place, cov in zip(log.fixes.t, log.fixes.place, log.fixes.cov, strict=True):
+                out.fix(t, place, np.sqrt(cov[0, 0]), topic=f"/{name}/fix", frame=f"{name}/gps")
     out.rows.sort(key=lambda row: row[0])
     return out.write()

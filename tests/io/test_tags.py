@@ -13,6 +13,7 @@ from mapweave.core.errors import ReaderError
 from mapweave.io.landmark_logs import is_landmark_log, read_landmark_logs
 from mapweave.io.tags import velocities
 
+from ..team.fixed_teams import carrying, fixed
 from .made_tags import tag_bag
 from .ros_logs import Recording, wall
 
@@ -162,3 +163,22 @@ def test_mrclam_as_a_recording_gives_the_map_of_mrclam(tmp_path, data):
     assert one.robots == two.robots
     order = [two.landmarks.ids.index(name) for name in one.landmarks.ids]
     assert np.abs(two.landmarks.mean[order] - one.landmarks.mean).max() < 1e-3
+
+
+def test_fixes_of_every_robot_are_read_beside_its_tags(tmp_path):
+    one = fixed(1)
+    logs = carrying(one.logs, one.fixes(1.0, 1))
+    again = read_landmark_logs(tag_bag(tmp_path / "pair.mcap", logs))
+    for before, after in zip(logs, again, strict=True):
+        assert after.fixes.topic == f"/{after.robot}/fix"
+        assert after.fixes.antenna == pytest.approx([-0.3, 0.1])
+        assert after.fixes.t == pytest.approx(before.fixes.t, abs=1e-6)
+        assert after.fixes.place == pytest.approx(before.fixes.place, abs=1e-12)
+        assert after.fixes.cov == pytest.approx(before.fixes.cov)
+        assert f"/{after.robot}/fix" not in [left.topic for left in after.unused]
+    none = read_landmark_logs(tmp_path / "pair.mcap", fixes="none")
+    assert [log.fixes for log in none] == [None, None]
+    (left,) = (left for left in none[0].unused if left.topic == "/robot1/fix")
+    assert left.reason == "another receiver is read, or none was asked for; --fixes /robot1/fix reads this one"
+    with pytest.raises(ReaderError, match="--fixes: no topic '/gps'"):
+        read_landmark_logs(tmp_path / "pair.mcap", fixes="/gps")

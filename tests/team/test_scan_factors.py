@@ -11,7 +11,7 @@ from mapweave.laser.robot_graph import RobotGraph
 from mapweave.team.config import SmoothingConfig
 from mapweave.team.factors import InterRobotEdge
 from mapweave.team.problem import team_problem
-from mapweave.team.smooth import _dense
+from mapweave.team.smooth import dense_track
 
 CFG = SmoothingConfig()
 POINTS = np.array([[2.0, 1.0], [3.5, -1.0], [0.5, 2.5]])
@@ -112,7 +112,7 @@ def test_between_keyframes_a_track_is_as_sure_as_both_share_it_and_of_one_keyfra
     part = team.parts[1]
     x[part.start : part.start + 3 * n] += np.tile([0.1, -0.2, 0.0], n)
     cov = np.eye(3) * np.arange(1.0, n + 1)[:, None, None]
-    track = _dense(part, x, cov)
+    track = dense_track(part, x, cov)
     np.testing.assert_array_equal(track.t, graph.t)
     np.testing.assert_allclose(track.pose, graph.pose + np.array([0.1, -0.2, 0.0]), atol=1e-9)
     np.testing.assert_allclose(track.cov, cov)

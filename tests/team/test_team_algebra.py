@@ -40,7 +40,7 @@ from mapweave.team.covariance import (
 )
 from mapweave.team.problem import HELD_TOGETHER, TeamProblem, _nodes, team_problem
 from mapweave.team.robot_part import PARAMETERS, Instants, instants_of
-from mapweave.team.smooth import _dense, is_observed, smooth
+from mapweave.team.smooth import dense_track, is_observed, smooth
 from mapweave.team.team_map import TeamMap
 
 CFG = SmoothingConfig()
@@ -465,7 +465,7 @@ def test_a_track_goes_through_every_estimated_pose_and_bends_evenly_between(solv
     n = len(part.instants.t)
     poses = solution.x[part.start : part.start + 3 * n].reshape(-1, 3)
     cov = np.eye(3) * np.arange(1.0, n + 1)[:, None, None]
-    track = _dense(part, solution.x, cov)
+    track = dense_track(part, solution.x, cov)
     rows = np.searchsorted(track.t, part.instants.t)
     there = np.isin(part.instants.t, track.t)
     assert there.sum() > 10

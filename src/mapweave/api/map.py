@@ -105,10 +105,10 @@ class Mapper(Protocol):
     def map_logs(self, logs: Sequence[Path], options: MapOptions) -> MapResult: ...
 
 
-LASER, RANGES = "mapweave.api.map_laser", "mapweave.api.ranges"
+LASER, RANGES, LANDMARKS = "mapweave.api.map_laser", "mapweave.api.ranges", "mapweave.api.map_landmarks"
 MAPPERS: tuple[str, ...] = (
     # asked in this order; the first that applies to every log maps them
-    "mapweave.api.map_landmarks",
+    LANDMARKS,
     RANGES,
     LASER,
 )
@@ -321,7 +321,9 @@ def _of_logs(logs: Sequence[Path | str | LaserLog | Log], options: MapOptions) -
 
 def _expect_fitting(mapper: Mapper, log: Path, options: MapOptions) -> None:
     """Raises UsageError for an option that logs of another kind have."""
-    if (given := options.laser_alone()) and mapper.__name__ != LASER:
+    tagged = mapper.__name__ == LANDMARKS and is_bag(log)
+    given = [option for option in options.laser_alone() if not (tagged and option == "--fixes")]
+    if given and mapper.__name__ != LASER:
         raise UsageError(f"{', '.join(given)}: only for laser logs, found {log}")
     if options.start_sd and mapper.__name__ != LASER:
         raise UsageError(f"--start: expected x,y,theta, found a sigma too: only for laser logs, found {log}")

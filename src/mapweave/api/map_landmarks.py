@@ -19,7 +19,7 @@ from ..fusion.compared_logs import mirror_images, unmirrored, with_copies_marked
 from ..fusion.config import START_TOLERANCE, FuseConfig
 from ..fusion.join import fuse
 from ..fusion.online import OnlineFuser
-from ..fusion.result import Fusion, placed_by_sightings, tie_by_starts
+from ..fusion.result import Fusion, placed_by, tie_by_starts
 from ..io.kept import parts
 from ..io.landmark_logs import is_landmark_log, landmark_logs_of, read_landmark_logs
 from ..io.points import read_points
@@ -32,12 +32,13 @@ from ..landmarks.mapping import Growth, grow, without_impossible
 from ..solve import SingularError
 from ..team.clocks import of_another_time, on_camera_clock
 from ..team.config import ONLINE_FAR, SMOOTHING_SOFTEN, OnlineConfig, SmoothingConfig
+from ..team.georeference import FRAME_GIVEN, NOT_SMOOTHED, laid_team, unused_fixes
 from ..team.kidnapped import cut_kidnapped, with_stretches
 from ..team.known import PlacePriors, framed
 from ..team.mixed import regained
 from ..team.online import OnlineMap, OnlineRun, OnlineStep, OnlineTeam
 from ..team.relative_frame import PlacingConfig
-from ..team.smooth import Smoothed, smooth_on_one_clock
+from ..team.smooth import Smoothed, smooth_on_one_clock, with_earlier_stamps
 from ..team.team_map import TeamMap, at_every_stamp, in_first_frame, with_further_rooms
 from .map_options import LANDMARK_METHODS, MapOptions
 from .team import TeamResult, Watch, carried, fuse_online, team_maps, team_result, times_of
@@ -274,7 +275,8 @@ def _map_read(
     smoothed, run = (
         _smoothed(maps, stretches, fusion, cfg, known, options, run, placing) if options.refine else ((), run)
     )
-    fusion = placed_by_sightings(fusion, [m.robots for m in maps], [s.map.robots for s in smoothed])
+    fusion = placed_by(fusion, "single sightings", [m.robots for m in maps], [s.map.robots for s in smoothed])
+    smoothed, fusion = _laid(smoothed, stretches, fusion, cfg, known, options)
     stamps = {log.robot: log.stamps for log in on_time}
     maps = tuple(at_every_stamp(m, stamps, {}) for m in maps)
     smoothed = tuple(
@@ -367,14 +369,34 @@ def _smoothed(
     return tuple(out), run
 
 
+def _laid(
+    smoothed: Sequence[Smoothed],
+    logs: Sequence[LandmarkLog],
+    fusion: Fusion,
+    cfg: LandmarkMapConfig,
+    known: Mapping[str, Mapping[str, tuple[float, float]]],
+    options: MapOptions,
+) -> tuple[tuple[Smoothed, ...], Fusion]:
+    """The components where fixes lay them, and the fusion with what is to be said of that."""
+    given = options.survey is not None or bool(options.start)
+    if given or not options.refine:
+        told = unused_fixes(logs, FRAME_GIVEN if given else NOT_SMOOTHED)
+        return tuple(smoothed), replace(fusion, findings=(*fusion.findings, *told))
+    ahead = {robot: clock.ahead for s in smoothed for robot, clock in s.clocks.items()}
+    on_time = [with_earlier_stamps(log, ahead.get(log.robot, 0.0)) for log in logs]
+    laid = laid_team(smoothed, on_time, fusion.labels, cfg.smoothing, known)
+    after = placed_by(fusion, "fixes", [s.map.robots for s in smoothed], [s.map.robots for s in laid.components])
+    return laid.components, replace(after, findings=(*after.findings, *laid.findings))
+
+
 def _read(logs: Sequence[Path], options: MapOptions) -> list[LandmarkLog]:
     """All logs, in the order of their robots' numbers."""
     wanted = None if options.robots is None else [_number(key) for key in options.robots]
     if len(logs) == 1:
-        return list(read_landmark_logs(logs[0], wanted))
+        return list(read_landmark_logs(logs[0], wanted, fixes=options.laser.fixes))
     read: dict[str, LandmarkLog] = {}
     for place, path in enumerate(logs, 1):
-        for log in read_landmark_logs(path, place=place):
+        for log in read_landmark_logs(path, place=place, fixes=options.laser.fixes):
             if log.robot in read:
                 raise DataError(f"{path}: {log.robot} is in {read[log.robot].source} too: two data sets are mixed")
             read[log.robot] = log

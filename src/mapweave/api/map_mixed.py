@@ -21,6 +21,7 @@ from ..fusion.compared_logs import with_copies_marked
 from ..fusion.join import fuse
 from ..fusion.result import Fusion
 from ..io.directory import write_json
+from ..io.fixes import write_georeferenced
 from ..io.kept import parts
 from ..io.laser_logs import read_laser
 from ..io.laser_map import NAME, write_grid, write_laser_map
@@ -53,7 +54,7 @@ from .evaluate import Evaluation, judged
 from .map_landmarks import CameraTeamConfig, known_calibration
 from .map_laser import first_part, source_of
 from .map_options import MapOptions
-from .team import Watch, team_maps
+from .team import Watch, georeferences, team_maps
 
 
 def carries(log: LandmarkLog, scanned: Mapping[str, Scanned]) -> str:
@@ -91,7 +92,7 @@ def findings_of(
         out.append(Finding("robots-apart", value=told_list(others)))
     for component in mixed.components:
         out += component.findings
-    return tuple(out)
+    return (*out, *mixed.placed)
 
 
 def robot_metrics(
@@ -172,6 +173,7 @@ def mixed_metrics(
             for s in mixed.components
         ],
         "left_out": told_gaps([s.map for s in mixed.components]),
+        **({"georeference": placed} if (placed := georeferences(mixed.components)) else {}),
         "fusion": [merge.row() for merge in mixed.merges],
         "warnings": [found.told for found in findings],
     }
@@ -247,7 +249,7 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
     """One map of all robots in `logs`."""
     _configured(options)
     by_kind = sorted_logs(logs, source_of(options.laser))
-    read = read_mixed_landmarks(by_kind)
+    read = read_mixed_landmarks(by_kind, options.laser.fixes)
     read, by_kind = _wanted(read, by_kind, options)
     _places(read, options)
     lasers = [read_laser(of.path, robot_key(robot), of.source) for robot, of in by_kind.lasers.items()]
@@ -301,6 +303,7 @@ def map_mixed_logs(landmarks: Sequence[LandmarkLog], lasers: Sequence[LaserLog],
         refine=options.refine,
         laser=None if options.laser.no_merge else cfg.laser,
         known=places,
+        fixes={robot: log.fixes for robot, log in scans.items() if log.fixes is not None},
     )
     mixed = _finished(mixed, stamps, places)
     options.on_progress("whole team", 1, 1)
@@ -424,13 +427,9 @@ def maps_landmarks(log: LandmarkLog) -> bool:
 
 
 def _shared(log: LaserLog, options: MapOptions) -> LaserLog:
-    """The share of the log that is asked for, of robot `K`, without fixes."""
+    """The share of the log that is asked for, of robot `K`."""
     key = robot_key(log.robot)
-    log = first_part(replace(log, robot=key), options.share.get(key, 1.0))
-    if log.fixes is None:
-        return log
-    told = Finding("fixes-unused", key, value="mixed teams are not laid by them")
-    return replace(log, fixes=None, findings=(*log.findings, told))
+    return first_part(replace(log, robot=key), options.share.get(key, 1.0))
 
 
 def _lasers(logs: Mapping[str, LaserLog], cfg: LaserConfig, options: MapOptions) -> dict[str, LaserMap]:
@@ -520,13 +519,16 @@ def _scored(result: MixedResult, options: MapOptions) -> MixedResult:
 
 
 def _write_data(folder: Path, result: MixedResult) -> None:
-    for k, (team, grid) in enumerate(zip(result.maps, result.grids, strict=True), 1):
+    placed = [s.georeference for s in result.story.map.components]
+    for k, (team, grid, where) in enumerate(zip(result.maps, result.grids, placed, strict=True), 1):
         home = folder if k == 1 else folder / "components" / str(k)
         home.mkdir(parents=True, exist_ok=True)
         write_landmarks(home, team)
         write_tracks(home, team)
+        if where is not None:
+            write_georeferenced(home, where, team.tracks, grid, team.landmarks)
         if grid is not None:
-            write_ros_map(home, grid)
+            write_ros_map(home, grid, None if where is None else where.row())
             write_grid(home / NAME, grid, None, "none")
     for local in result.local:
         write_local_map(folder / "local" / local.robot, local)

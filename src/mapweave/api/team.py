@@ -23,10 +23,12 @@ from ..fusion.config import FuseConfig
 from ..fusion.online import OnlineFuser
 from ..fusion.result import Component, Fusion
 from ..io.directory import write_json
+from ..io.fixes import write_georeferenced
 from ..io.local_map import write_local_map
 from ..io.team_map import told_gaps, write_calibration, write_landmark_arrays, write_landmarks, write_tracks
 from ..landmarks.landmark_map import LandmarkMap, LocalMap
 from ..landmarks.mapping import Growth
+from ..mapping.woven_map import Georeference
 from ..report.html import told_list
 from ..report.result import ResultBase, Rows
 from ..report.team import write_team_report
@@ -167,6 +169,8 @@ class TeamResult(ResultBase):
         }
         if gaps := told_gaps(self.maps):
             metrics["left_out"] = gaps
+        if placed := georeferences(self.smoothed):
+            metrics["georeference"] = placed
         if self.growth:
             metrics["online"] = [
                 {
@@ -254,6 +258,12 @@ class TeamResult(ResultBase):
         out += [f"warning: {f.told}" for f in self.findings]
         out += [] if self.score is None else team_lines(self.score)
         return [*out, verdict_line(self.findings)]
+
+
+def georeferences(smoothed: Sequence[Smoothed]) -> list[dict[str, Any] | None]:
+    """Of each component where it lies in the world; empty where fixes lay none."""
+    placed = [None if s.georeference is None else s.georeference.row() for s in smoothed]
+    return placed if any(placed) else []
 
 
 def _errors(score: TeamScore | None) -> dict[str, float | None]:
@@ -428,8 +438,9 @@ def write_team(folder: Path, story: TeamStory, metrics: Mapping[str, Any]) -> No
 
 def write_team_data(folder: Path, story: TeamStory) -> None:
     """Landmarks and trajectories of every component, local maps and the calibration found."""
-    for k, team in enumerate(story.maps, 1):
-        _write_component(folder if k == 1 else folder / "components" / str(k), team)
+    placed = [s.georeference for s in story.smoothed] or [None] * len(story.maps)
+    for k, (team, where) in enumerate(zip(story.maps, placed, strict=True), 1):
+        _write_component(folder if k == 1 else folder / "components" / str(k), team, where)
     for local in story.local:
         home = folder / "local" / local.robot
         write_local_map(home, local)
@@ -439,6 +450,8 @@ def write_team_data(folder: Path, story: TeamStory) -> None:
         write_calibration(folder / "calibration.json", calibrations, story.smoothed[0].prior)
 
 
-def _write_component(folder: Path, team: TeamMap) -> None:
+def _write_component(folder: Path, team: TeamMap, placed: Georeference | None) -> None:
     write_landmarks(folder, team)
     write_tracks(folder, team)
+    if placed is not None:
+        write_georeferenced(folder, placed, team.tracks, landmarks=team.landmarks)

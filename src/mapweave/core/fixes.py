@@ -88,7 +88,10 @@ class Fixes:
 
     def within(self, first: float, last: float) -> "Fixes":
         """Those from `first` to `last` [s]."""
-        kept = (self.t >= first) & (self.t <= last)
+        return self.select((self.t >= first) & (self.t <= last))
+
+    def select(self, kept: np.ndarray) -> "Fixes":
+        """The rows of a mask or an index."""
         return replace(self, t=self.t[kept], place=self.place[kept], cov=self.cov[kept])
 
 

@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 
 from .errors import DataError, ReaderError
 from .findings import Finding, Unused, Value
+from .fixes import Fixes
 from .records import Event, LandmarkPacket, Odometry, frozen
 
 
@@ -63,7 +64,8 @@ class LandmarkLog:
     dropped: rows left out, by reason; log_hash: SHA-256 of the whole log's content, kept by `share`, so that a part
     of a log is known to be no independent witness beside the whole. cuts: stamps [s], ascending, at which the robot was
     put down elsewhere: nothing it drove leads across one. misread: stamps [s], ascending, of sightings left out as
-    misreads, at which its trajectory has a pose all the same. unused: what was recorded beside and no reader took.
+    misreads, at which its trajectory has a pose all the same. unused: what was recorded beside and no reader took;
+    fixes: where it was, as something outside it tells.
     """
 
     robot: str
@@ -77,6 +79,7 @@ class LandmarkLog:
     cuts: tuple[float, ...] = ()
     misread: Float[np.ndarray, " m"] = field(default_factory=lambda: np.zeros(0))
     unused: tuple[Unused, ...] = ()
+    fixes: Fixes | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "misread", frozen(self.misread))
@@ -156,7 +159,9 @@ class LandmarkLog:
             keep = at(o.t)
             o = Odometry(o.t[keep], o.v[keep], o.w[keep]) if keep.any() else None
         sightings, bearings = self.sightings.select(at(self.sightings.t)), self.bearings.select(at(self.bearings.t))
-        return replace(self, odometry=o, sightings=sightings, bearings=bearings, misread=self.misread[at(self.misread)])
+        fixes = None if self.fixes is None else self.fixes.select(at(self.fixes.t))
+        misread = self.misread[at(self.misread)]
+        return replace(self, odometry=o, sightings=sightings, bearings=bearings, misread=misread, fixes=fixes)
 
 
 def _hash(odometry: Odometry | None, *tables: SightingTable) -> str:

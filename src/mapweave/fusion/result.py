@@ -105,15 +105,15 @@ def tie_by_starts(fusion: Fusion, starts: Mapping[str, tuple[float, float, float
     return replace(fusion, components=tuple(components), decisions=decisions, findings=tuple(findings))
 
 
-def placed_by_sightings(fusion: Fusion, before: Sequence[Sequence[str]], after: Sequence[Sequence[str]]) -> Fusion:
-    """The fusion with every refused robot merged that a later step tied to others by single sightings.
+def placed_by(fusion: Fusion, what: str, before: Sequence[Sequence[str]], after: Sequence[Sequence[str]]) -> Fusion:
+    """The fusion with every refused robot merged that a later step tied to others, by `what`.
 
-    before, after: the robots of each map, as they were fused and as they are now.
+    before, after: the robots of each map, before that step and after it.
     """
     old = {robot: set(robots) for robots in before for robot in robots}
     tied = {r for robots in after for r in robots if len(robots) > 1 and set(robots) - old.get(r, {r})}
     why = {
-        d.robot: f"{d.reason.removesuffix(APART)}; placed by single sightings"
+        d.robot: f"{d.reason.removesuffix(APART)}; placed by {what}"
         for d in fusion.decisions
         if d.decision == "refused" and d.robot in tied
     }

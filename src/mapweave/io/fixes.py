@@ -7,7 +7,7 @@ made of what is to be mapped: they are read where they are asked for by name, an
 
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +16,18 @@ from jaxtyping import Float
 from PIL import Image, TiffImagePlugin
 
 from ..core.errors import ReaderError
+from ..core.findings import Finding
 from ..core.fixes import EARTH, Fixes
 from ..core.names import robot_name
-from ..mapping.woven_map import Georeference, WovenMap
+from ..core.records import Track
+from ..landmarks.landmark_map import LandmarkMap
+from ..laser.laser_map import GridMap
+from ..mapping.woven_map import Georeference
 from .bag_robots import FIXES
 from .ros_map import trinary
 from .table import write_table
+from .transforms import Transforms
+from .tum import write_track_covariance, write_tum
 
 NAVSAT, *POSES = FIXES
 NO_FIX, UNKNOWN = -1, 0  # of a NavSatFix: its status without satellites, its covariance that nobody knows
@@ -92,45 +98,84 @@ def fixes_of(
     return Fixes(told[:, 0], told[:, 1:4], cov, np.asarray(antenna, float), frame, topic, dict(dropped))
 
 
+def read_fixes(
+    rows: Sequence[tuple[float, ...] | str], topic: str, kind: str, header_frame: str, tf: Transforms, base: str
+) -> Fixes | None:
+    """`fixes_of`, the antenna where tf has it from the robot's frame `base`; else, and of poses, at the origin."""
+    stands = tf.rigid_pose(base, header_frame) if kind == NAVSAT else None
+    return fixes_of(rows, topic, frame_of(kind, header_frame), np.zeros(2) if stands is None else stands[0][:2])
+
+
+def positions_read(topic: str, robot: str | None) -> Finding:
+    """That poses by others were read."""
+    return Finding("topics-chosen", robot, value=f"positions are read from {topic}, as input and not as truth")
+
+
+def why_no_fixes(topic: str, kind: str, mine: Sequence[str]) -> str:
+    """Why fixes were not read, of a robot whose topics are `mine`."""
+    if topic not in mine:
+        return "of another robot, or it is not told of which"
+    if kind in POSES:
+        return f"poses by others may be the truth; --fixes {topic} reads their positions as input"
+    return f"another receiver is read, or none was asked for; --fixes {topic} reads this one"
+
+
 def frame_of(kind: str, header_frame: str) -> str:
     """The world that fixes of this type are told in."""
     return EARTH if kind == NAVSAT else header_frame or "world"
 
 
-def write_georeferenced(folder: Path, woven: WovenMap) -> None:
-    """`fixes.csv`, and on the earth `trajectories.geojson` and `map.tif`, of a map that fixes place."""
-    g = woven.georeference
-    if g is None:
-        return
+def write_georeferenced(
+    folder: Path,
+    g: Georeference,
+    tracks: Mapping[str, Track],
+    grid: GridMap | None = None,
+    landmarks: LandmarkMap | None = None,
+) -> None:
+    """Of a map that fixes place, `fixes.csv`, and in `world` trajectories there, with covariances.
+
+    On the earth `trajectories.geojson`, with the landmarks, and `map.tif` of the occupancy, where there is one.
+    """
     world = [robot_name(g.robots[k]) for k in g.owner.tolist()]
     rows = zip(g.t.tolist(), world, *g.z.T.tolist(), *g.residual.T.tolist(), g.used.astype(int).tolist(), strict=True)
     write_table(folder / "fixes.csv", ["t", "robot", "x", "y", "residual_x", "residual_y", "used"], rows)
+    for robot, track in g.tracks.items():
+        write_tum(folder / "world" / f"{robot_name(robot)}.tum", track)
+        write_track_covariance(folder / "world" / f"{robot_name(robot)}.cov.csv", track)
     if g.datum is None:
         return
-    (folder / "trajectories.geojson").write_text(json.dumps(geojson(woven, g)) + "\n", encoding="utf-8")
-    write_geotiff(folder / "map.tif", woven, g)
+    told = geojson(tracks, g, landmarks)
+    (folder / "trajectories.geojson").write_text(json.dumps(told) + "\n", encoding="utf-8")
+    if grid is not None:
+        write_geotiff(folder / "map.tif", grid, g)
 
 
-def geojson(woven: WovenMap, g: Georeference) -> dict[str, Any]:
-    """A line a robot, longitude and latitude [deg] in nine decimals (a tenth of a millimetre) [RFC 7946]."""
+def geojson(tracks: Mapping[str, Track], g: Georeference, landmarks: LandmarkMap | None = None) -> dict[str, Any]:
+    """A line a robot and a point a landmark, longitude and latitude [deg] in nine decimals (0.1 mm) [RFC 7946]."""
     out = []
-    for robot, track in woven.tracks.items():
+    for robot, track in tracks.items():
+        if not len(track.t):
+            continue
         line = np.round(g.places(track.pose[:, :2]), 9).tolist()
         told = {"robot": robot_name(robot), "from": float(track.t[0]), "to": float(track.t[-1])}
         shape = {"type": "LineString", "coordinates": line if len(line) > 1 else line * 2}
         out.append({"type": "Feature", "geometry": shape, "properties": told})
+    if landmarks is not None:
+        for name, at in zip(landmarks.ids, np.round(g.places(landmarks.mean), 9).tolist(), strict=True):
+            point = {"type": "Point", "coordinates": at}
+            out.append({"type": "Feature", "geometry": point, "properties": {"landmark": name}})
     return {"type": "FeatureCollection", "features": out}
 
 
-def write_geotiff(path: Path, woven: WovenMap, g: Georeference) -> None:
+def write_geotiff(path: Path, grid: GridMap, g: Georeference) -> None:
     """`path` is the occupancy (0 wall, 205 unknown, 254 free) with the transform from its pixels to degrees.
 
     The transform is that at the middle of the map: degrees are no plane, and a corner a kilometre away is off by
     decimetres.
     """
-    picture = trinary(woven.grid)
+    picture = trinary(grid)
     rows, cols = picture.shape
-    size, (x0, y0) = woven.grid.resolution, woven.grid.origin
+    size, (x0, y0) = grid.resolution, grid.origin
     middle = np.array([x0 + 0.5 * size * cols, y0 + 0.5 * size * rows])
     at = g.places(middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
     J = np.stack([at[1] - at[0], at[2] - at[0]], axis=1)  # degrees a metre of the map's x and y

@@ -84,11 +84,11 @@ def _is_recording(path: Path) -> bool:
     return (path / "metadata.yaml").is_file() if path.is_dir() else bool(recording_suffix(path))
 
 
-def _read_tags(path: Path, robots: Sequence[int] | None, place: int) -> tuple[LandmarkLog, ...]:
+def _read_tags(path: Path, robots: Sequence[int] | None, place: int, fixes: str | None) -> tuple[LandmarkLog, ...]:
     """The logs of all robots (or of `robots`) of a recording that saw tags."""
     from .tags import read_tags  # noqa: PLC0415  (message types cost a second; only recordings need them)
 
-    told = {log.number: log for log in read_tags(path, place)}
+    told = {log.number: log for log in read_tags(path, place, fixes)}
     numbers = {
         what: np.repeat(list(told), [len(getattr(log, what)) for log in told.values()]) for what in ("drive", "seen")
     }
@@ -102,6 +102,7 @@ def _read_tags(path: Path, robots: Sequence[int] | None, place: int) -> tuple[La
             dropped={**log.dropped, **told[log.number].dropped},
             findings=(*log.findings, *told[log.number].findings),
             unused=tuple(told[log.number].unused),
+            fixes=told[log.number].fixes,
         )
         for log in logs
     )
@@ -266,13 +267,16 @@ def is_landmark_log(path: Path) -> bool:
         raise
 
 
-def read_landmark_logs(path: Path, robots: Sequence[int] | None = None, place: int = 1) -> tuple[LandmarkLog, ...]:
+def read_landmark_logs(
+    path: Path, robots: Sequence[int] | None = None, place: int = 1, fixes: str | None = None
+) -> tuple[LandmarkLog, ...]:
     """One log a robot (or those of `robots`), in order of number; never reads truth.
 
-    place: the number of a recording's only robot where neither it nor the file is numbered.
+    place: the number of a recording's only robot where neither it nor the file is numbered; fixes: its topics that tell
+    where a robot was, by default satellites alone.
     """
     if _is_recording(path):
-        return _read_tags(path, robots, place)
+        return _read_tags(path, robots, place, fixes)
     with open_files(path) as files:
         plain, mrclam = is_csv(files), is_mrclam(files)
     if plain and mrclam:

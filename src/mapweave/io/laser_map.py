@@ -206,11 +206,12 @@ def write_calibration(path: Path, calibration: IntensityCalibration) -> None:
 def write_woven_map(folder: Path, woven: WovenMap) -> None:
     """`folder` holds map.pgm, map.yaml, grid.npz, pose_graph.g2o of all keyframes, closures.csv and trajectories.
 
-    Where fixes place it, fixes.csv, trajectories.geojson and map.tif too.
+    Where fixes place it, fixes.csv, world, trajectories.geojson and map.tif too.
     """
     folder.mkdir(parents=True, exist_ok=True)
     write_ros_map(folder, woven.grid, None if woven.georeference is None else woven.georeference.row())
-    write_georeferenced(folder, woven)
+    if woven.georeference is not None:
+        write_georeferenced(folder, woven.georeference, woven.tracks, woven.grid)
     write_grid(folder / NAME, woven.grid, woven.calibration, woven.feature)
     write_g2o(folder / "pose_graph.g2o", woven.graph)
     write_closure_rows(folder / "closures.csv", woven.closures)

@@ -72,11 +72,14 @@ def sorted_logs(paths: Sequence[Path], source: LaserSource) -> MixedLogs:
     return MixedLogs(tuple(by_kind["landmarks"]), tuple(by_kind["odometry"]), tuple(by_kind["sightings"]), lasers)
 
 
-def read_mixed_landmarks(logs: MixedLogs) -> list[LandmarkLog]:
-    """One log a robot, what several files say of it together; an empty one for a laser robot nobody else tells of."""
+def read_mixed_landmarks(logs: MixedLogs, fixes: str | None = None) -> list[LandmarkLog]:
+    """One log a robot, what several files say of it together; an empty one for a laser robot nobody else tells of.
+
+    fixes: topics of recordings that tell where a robot was, by default satellites alone.
+    """
     read: dict[str, LandmarkLog] = {}
     for path in logs.sets:
-        for log in read_landmark_logs(path):
+        for log in read_landmark_logs(path, fixes=fixes):
             if log.robot in read:
                 raise DataError(f"{path}: {log.robot} is in {read[log.robot].source} too: two data sets are mixed")
             read[log.robot] = log
@@ -122,6 +125,7 @@ def _together(a: LandmarkLog, b: LandmarkLog) -> LandmarkLog:
         (*a.findings, *b.findings),
         a.source,
         bearings=_joined(a.bearings, b.bearings),
+        fixes=a.fixes if a.fixes is not None else b.fixes,
     )
 
 

@@ -15,7 +15,7 @@ from .assemble import RawLog, RawScan, floats
 from .bag import UNPACKABLE, Bag, bag_hash, open_bag, stamp
 from .bag_robots import CLOUD, ECHOES, ODOMETRY, SCAN, SCANS, TF, BagRobot, bag_robots, choose_robot
 from .clouds import cloud_scans
-from .fixes import NAVSAT, POSES, fix_row, fixes_of, frame_of, topics_of_fixes
+from .fixes import NAVSAT, POSES, fix_row, positions_read, read_fixes, topics_of_fixes, why_no_fixes
 from .inertial import IMU, Inertial, imu_row
 from .tags import TAGS
 from .transforms import NOWHERE, Transforms, frame, planar, rigid, rotation_matrix
@@ -70,11 +70,10 @@ def read_ros(
         place = seen.tf.rigid_pose(base, seen.frames[topic]) or NOWHERE
         raw.inertial = Inertial(topic, floats(sorted(seen.imu)), rotation_matrix(place[1])[2])
     if told:
-        stands = seen.tf.rigid_pose(base, seen.frames.get(told[0], "")) if bag.kinds[told[0]] == NAVSAT else None
-        antenna = np.zeros(2) if stands is None else stands[0][:2]
-        raw.fixes = fixes_of(seen.fixes, told[0], frame_of(bag.kinds[told[0]], seen.frames.get(told[0], "")), antenna)
-        if bag.kinds[told[0]] in POSES:
-            raw.find("topics-chosen", f"positions are read from {told[0]}, as input and not as truth")
+        kind = bag.kinds[told[0]]
+        raw.fixes = read_fixes(seen.fixes, told[0], kind, seen.frames.get(told[0], ""), seen.tf, base)
+        if kind in POSES:
+            raw.findings.append(positions_read(told[0], robot))
     return raw.finish(mirrored=mirrored, sensor_pose=sensor_pose)
 
 
@@ -154,7 +153,7 @@ def _unused(bag: Bag, read: set[str], chosen: BagRobot) -> list[Unused]:
         if kind in TAGS:
             why = "landmarks; --method ekf maps them"
         elif kind in {NAVSAT, *POSES}:
-            why = _why_no_fixes(topic, kind, chosen)
+            why = why_no_fixes(topic, kind, chosen.fixes)
         elif kind not in {*SCANS, ODOMETRY, IMU, *TF}:
             why = "no reader for this type"
         elif kind == IMU:
@@ -167,14 +166,6 @@ def _unused(bag: Bag, read: set[str], chosen: BagRobot) -> list[Unused]:
             why = "of another robot, or not chosen"
         out.append(Unused(str(bag.path), topic, kind, bag.counts[topic], why))
     return out
-
-
-def _why_no_fixes(topic: str, kind: str, chosen: BagRobot) -> str:
-    if topic not in chosen.fixes:
-        return "of another robot, or it is not told of which"
-    if kind in POSES:
-        return f"poses by others may be the truth; --fixes {topic} reads their positions as input"
-    return f"another receiver is read, or none was asked for; --fixes {topic} reads this one"
 
 
 def _hash_of(digest: str, robot: BagRobot) -> str:

@@ -15,9 +15,11 @@ from jaxtyping import Float
 from ..core import se2
 from ..core.errors import ReaderError
 from ..core.findings import Finding, Unused
+from ..core.fixes import Fixes
 from .bag import UNPACKABLE, Bag, open_bag, stamp
-from .bag_robots import ODOMETRY, SCANS, TF, BagRobot, bag_robots
+from .bag_robots import FIXES, ODOMETRY, SCANS, TF, BagRobot, bag_robots
 from .clouds import OPTICAL
+from .fixes import POSES, fix_row, positions_read, read_fixes, topics_of_fixes, why_no_fixes
 from .salvage import DAMAGE
 from .transforms import FARTHEST, NOWHERE, Rigid, Transforms, frame, planar, rigid, rotation_matrix
 
@@ -116,19 +118,27 @@ class TagLog(NamedTuple):
     dropped: dict[str, int]
     findings: list[Finding]
     unused: list[Unused]
+    fixes: Fixes | None
 
 
-def read_tags(path: Path, place: int = 1) -> list[TagLog]:
+def read_tags(path: Path, place: int = 1, fixes: str | None = None) -> list[TagLog]:
     """The robots in the recording at `path` that saw tags. Raises ReaderError where none did, listing what there is.
 
-    A robot's number is the last in its name, or in the name of the file; else they are counted from `place` on.
+    A robot's number is the last in its name, or in the name of the file; else they are counted from `place` on. fixes:
+    topics that tell where a robot was, by default satellites alone.
     """
-    bag = open_bag(path, (*TAGS, ODOMETRY, *TF))
-    robots = bag_robots(bag, TAGS) or (BagRobot("", (), tuple(bag.topics(ODOMETRY)), tuple(bag.topics(*TF))),)
-    logs = [_read(bag, robot, k) for robot, k in zip(robots, _numbers(robots, path, place), strict=True)]
+    bag = open_bag(path, (*TAGS, ODOMETRY, *TF, *FIXES))
+    robots = bag_robots(bag, TAGS) or (_only(bag),)
+    logs = [_read(bag, robot, k, fixes) for robot, k in zip(robots, _numbers(robots, path, place), strict=True)]
     if not any(log.names for log in logs):
         raise ReaderError(path, f"no tag with a pose in it; there are {bag.listing() or 'no topics'}")
     return logs
+
+
+def _only(bag: Bag) -> BagRobot:
+    """The robot of a recording whose tags are frames of tf."""
+    told = tuple(topic for topic in bag.topics(*FIXES) if bag.counts.get(topic))
+    return BagRobot("", (), tuple(bag.topics(ODOMETRY)), tuple(bag.topics(*TF)), fixes=told)
 
 
 def _numbers(robots: Sequence[BagRobot], path: Path, place: int) -> list[int]:
@@ -139,15 +149,20 @@ def _numbers(robots: Sequence[BagRobot], path: Path, place: int) -> list[int]:
     return told if len(set(told)) == len(robots) else list(range(place, place + len(robots)))
 
 
-def _read(bag: Bag, robot: BagRobot, number: int) -> TagLog:
+def _read(bag: Bag, robot: BagRobot, number: int, asked: str | None) -> TagLog:
     if robot.unclear:
         raise ReaderError(bag.path, robot.unclear)
     cameras, wheels = set(robot.scans), robot.odometry[:1]
     tf, poses, base = Transforms(), [], ""
     told: list[tuple[float, list[Sighting]]] = []
     wrong = 0
-    for topic, ns, message in bag.messages({*cameras, *wheels, *robot.tf}):
-        if topic in cameras:
+    receiver = topics_of_fixes(bag.path, robot.fixes, bag.kinds, asked)
+    fixed, antenna = [], ""
+    for topic, ns, message in bag.messages({*cameras, *wheels, *robot.tf, *receiver}):
+        if topic in receiver:
+            fixed.append(fix_row(stamp(message.header, ns), message))
+            antenna = antenna or frame(message.header.frame_id)
+        elif topic in cameras:
             try:
                 read = SIGHTINGS.get(bag.kinds[topic])
                 told.append((stamp(message.header, ns), [] if read is None else list(read(message))))
@@ -168,6 +183,9 @@ def _read(bag: Bag, robot: BagRobot, number: int) -> TagLog:
     t, at, names = _on_the_robot(told, tf, base, f"robot{number}", findings)
     seen = np.column_stack([t, np.hypot(at[:, 0], at[:, 1]), np.arctan2(at[:, 1], at[:, 0])])
     dropped = {UNPACKABLE: bag.skipped + wrong, "transform that is not finite": tf.refused}
+    fixes = read_fixes(fixed, receiver[0], bag.kinds[receiver[0]], antenna, tf, base) if receiver else None
+    if receiver and bag.kinds[receiver[0]] in POSES:
+        findings.append(positions_read(receiver[0], f"robot{number}"))
     return TagLog(
         number,
         velocities(np.array(poses, dtype=float).reshape(-1, 4)),
@@ -175,7 +193,8 @@ def _read(bag: Bag, robot: BagRobot, number: int) -> TagLog:
         names,
         {reason: n for reason, n in dropped.items() if n},
         findings,
-        _unused(bag, robot, told),
+        _unused(bag, robot, told, receiver),
+        fixes,
     )
 
 
@@ -252,12 +271,18 @@ def _transforms(bag: Bag) -> Transforms:
     return tf
 
 
-def _unused(bag: Bag, robot: BagRobot, told: Sequence[tuple[float, list[Sighting]]]) -> list[Unused]:
+def _unused(
+    bag: Bag, robot: BagRobot, told: Sequence[tuple[float, list[Sighting]]], receiver: Sequence[str]
+) -> list[Unused]:
     """The topics that say nothing to the map, and why."""
     out = []
     for topic, kind in sorted(bag.kinds.items()):
         n = bag.counts.get(topic, 0)
-        if not n or topic in {*robot.tf, *robot.odometry[:1]} or (topic in robot.scans and kind in SIGHTINGS):
+        if (
+            not n
+            or topic in {*robot.tf, *robot.odometry[:1], *receiver}
+            or (topic in robot.scans and kind in SIGHTINGS)
+        ):
             continue
         if kind == IMAGES:
             why = "corners in an image; the frames of tags in tf are read" if told else "no frame of a tag in tf"
@@ -265,6 +290,8 @@ def _unused(bag: Bag, robot: BagRobot, told: Sequence[tuple[float, list[Sighting
             why = "landmarks are mapped (--method ekf); without it scans are"
         elif topic in robot.odometry:
             why = "another odometry is read"
+        elif kind in FIXES:
+            why = why_no_fixes(topic, kind, robot.fixes)
         elif kind in {*SIGHTINGS, ODOMETRY, *TF}:
             why = "of another robot"
         elif kind == "geometry_msgs/msg/PoseArray":

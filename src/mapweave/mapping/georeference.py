@@ -4,7 +4,7 @@ Every fix is one more factor on a keyframe of the pose graph. The map's own edge
 pass left them, so that a map bends where fixes pull, and nowhere else.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ from ..core import se2
 from ..core.findings import Finding
 from ..core.fixes import Fixes, datum_of
 from ..core.names import robot_name
-from ..core.records import frozen
+from ..core.records import Track, frozen
 from ..laser.laser_map import LaserMap
 from ..laser.pose_graph import PoseGraph
 from ..laser.robot_graph import RobotGraph
@@ -85,12 +85,12 @@ def georeferenced(
     """
     by_robot = {m.robot: m for m in maps}
     datum, frame, seen = _world(maps)
-    findings = [f for m in maps if m.fixes is not None for f in _told_of_log(m, m.fixes, frame, seen)]
+    findings = [f for m in maps if m.fixes is not None for f in told_of_log(m.robot, m.fixes, _span(m), frame, seen)]
     laid: list[_Guess] = []
     left: list[WovenMap] = []
     for woven in components:
         mine = [seen[r] for r in woven.robots if r in seen]
-        T, why = _first_guess(woven, mine)
+        T, why = _first_guess(woven, mine) if mine else (None, [])
         findings += why
         if T is None:
             left.append(woven)
@@ -104,20 +104,36 @@ def georeferenced(
     return FixedMaps(tuple(order), (*findings, *told))
 
 
-def _world(maps: Sequence[LaserMap]) -> tuple[Float[np.ndarray, "3"] | None, str, dict[str, Sighted]]:
-    """The datum and the frame of the first robot with fixes, and each robot's fixes in it that can be of one map."""
-    held = [m.fixes for m in maps if m.fixes is not None and len(m.fixes)]
-    if not held:
+def world_of(
+    held: Sequence[tuple[str, Fixes | None, tuple[float, float]]],
+) -> tuple[Float[np.ndarray, "3"] | None, str, dict[str, Fixes]]:
+    """The datum and the frame of the first robot with fixes, and each robot's fixes in it that can be of one map.
+
+    held: of each robot its name, its fixes and when [s] it drove, from and to.
+    """
+    some = [fixes for _, fixes, _ in held if fixes is not None and len(fixes)]
+    if not some:
         return None, "", {}
-    datum, frame = datum_of(held[:1]), held[0].frame
+    datum, frame = datum_of(some[:1]), some[0].frame
     seen = {}
-    for m in maps:
-        if m.fixes is None or m.fixes.frame != frame or m.graph is None:
+    for robot, fixes, span in held:
+        if fixes is None or fixes.frame != frame:
             continue
-        fixes = m.fixes.within(float(m.track.t[0]), float(m.track.t[-1]))
-        if len(fixes) >= FEWEST and np.hypot(*np.median(fixes.xy(datum), axis=0)) < FARTHEST:
-            seen[m.robot] = _sighted(m, fixes, datum)
+        inside = fixes.within(*span)
+        if len(inside) >= FEWEST and np.hypot(*np.median(inside.xy(datum), axis=0)) < FARTHEST:
+            seen[robot] = inside
     return datum, frame, seen
+
+
+def _span(m: LaserMap) -> tuple[float, float]:
+    return float(m.track.t[0]), float(m.track.t[-1])
+
+
+def _world(maps: Sequence[LaserMap]) -> tuple[Float[np.ndarray, "3"] | None, str, dict[str, Sighted]]:
+    """`world_of` the maps, each fix on its keyframe."""
+    woven = {m.robot: m for m in maps if m.graph is not None}
+    datum, frame, seen = world_of([(robot, m.fixes, _span(m)) for robot, m in woven.items()])
+    return datum, frame, {robot: _sighted(woven[robot], fixes, datum) for robot, fixes in seen.items()}
 
 
 def _sighted(m: LaserMap, fixes: Fixes, datum: Float[np.ndarray, "3"] | None) -> Sighted:
@@ -143,7 +159,7 @@ def _alone(m: LaserMap, sighted: Sighted) -> Laid | None:
     if _vague(p, sighted.z) is not None:
         return None
     pose = se2.compose(registered(p, sighted.z)[0], graph.pose)
-    laid = lay(pose, _motions(graph.graph(), graph.pose, 0, 1.0), _sights([(sighted, 0)]))
+    laid = lay(pose, _motions(graph.graph(), graph.pose, 0, 1.0), sights_of([(sighted, 0)]))
     return None if laid is None or laid.far.mean() > MOSTLY else laid
 
 
@@ -157,12 +173,17 @@ def _vague(p: Float[np.ndarray, "k 2"], z: Float[np.ndarray, "k 2"]) -> float | 
 
 
 def _first_guess(woven: WovenMap, seen: Sequence[Sighted]) -> tuple[Float[np.ndarray, "3"] | None, list[Finding]]:
-    """Where a component lies in the world, about; None with the reason where its fixes do not tell."""
-    if not seen:
-        return None, []
     p = np.concatenate([_points(woven, s) for s in seen])
-    z = np.concatenate([s.z for s in seen])
-    robot = seen[0].robot
+    return first_guess(seen[0].robot, p, np.concatenate([s.z for s in seen]))
+
+
+def first_guess(
+    robot: str, p: Float[np.ndarray, "k 2"], z: Float[np.ndarray, "k 2"]
+) -> tuple[Float[np.ndarray, "3"] | None, list[Finding]]:
+    """Where a map lies in the world, about, whose points p were fixed at z; None where that is not told.
+
+    Then with the reason, told of `robot`.
+    """
     T, off = registered(p, z)
     if len(p) > 2 * FEWEST and mirrored(p, z):
         return None, [Finding("fixes-mirrored", robot, value=off, action="they are not used")]
@@ -182,7 +203,7 @@ def _motions(graph: PoseGraph, pose: Float[np.ndarray, "n 3"], at: int, unsure: 
     return Motions(graph.first + at, graph.second + at, z, unsure * np.linalg.inv(graph.information))
 
 
-def _sights(seen: Sequence[tuple[Sighted, int]]) -> Sights:
+def sights_of(seen: Sequence[tuple[Sighted, int]]) -> Sights:
     """Fixes of several robots, whose keyframes begin with these numbers."""
     return Sights(
         np.concatenate([s.rows + at for s, at in seen]),
@@ -216,11 +237,9 @@ def _laid_together(
         for i, r in enumerate(w.robots)
     }
     seen = [s for _, _, mine in laid for s in mine]
-    found = lay(pose, motions, _sights([(s, begin[s.robot]) for s in seen]))
-    which = np.concatenate([np.full(len(s.rows), k) for k, s in enumerate(seen)])
+    found = lay(pose, motions, sights_of([(s, begin[s.robot]) for s in seen]))
     if found is None or found.far.mean() > MOSTLY:
-        share = 100.0 if found is None else 100.0 * float(found.far.mean())
-        return [], [Finding("fixes-contradict", seen[0].robot, value=share, action="they are not used")]
+        return [], [contradicted(seen[0].robot, found)]
     robots = [r for r in maps if r in begin]
     held = [np.arange(begin[r], begin[r] + len(_graph(maps[r]))) for r in robots]
     head = held[0][0]
@@ -233,20 +252,9 @@ def _laid_together(
     number[rows] = np.arange(len(rows))
     graphs = [_graph(maps[r]) for r in robots]
     each = [placed[h] for h in held]
-    georeference = Georeference(
-        datum=datum,
-        frame=frame,
-        T_world_map=frozen(T_world_map),
-        cov=frozen(found.covariances()[head]),
-        robots=tuple(s.robot for s in seen),
-        topics=tuple(s.fixes.topic for s in seen),
-        scale=frozen(found.receivers.scale),
-        owner=frozen(which, np.int64),
-        t=frozen(np.concatenate([s.fixes.t for s in seen])),
-        z=frozen(np.concatenate([s.z for s in seen])),
-        residual=frozen(found.residual),
-        used=frozen(~found.far, np.bool_),
-    )
+    there = found.covariances()
+    world = {r: placed_track(maps[r], found.pose[h], there[h]) for r, h in zip(robots, held, strict=True)}
+    georeference = georeference_of(datum, frame, T_world_map, there[head], seen, found, world)
     lit = {w.feature for w in parts}
     feature = lit.pop() if len(lit) == 1 else "none"
     joint = PoseGraph(
@@ -271,6 +279,39 @@ def _laid_together(
     return [woven], _told_of_map(georeference, parts, robots[0], found, begin)
 
 
+def contradicted(robot: str, found: Laid | None) -> Finding:
+    """That fixes and what was seen do not tell of one drive."""
+    share = 100.0 if found is None else 100.0 * float(found.far.mean())
+    return Finding("fixes-contradict", robot, value=share, action="they are not used")
+
+
+def georeference_of(
+    datum: Float[np.ndarray, "3"] | None,
+    frame: str,
+    T_world_map: Float[np.ndarray, "3"],
+    cov: Float[np.ndarray, "3 3"],
+    seen: Sequence[Sighted],
+    found: Laid,
+    tracks: Mapping[str, Track],
+) -> Georeference:
+    """Where a map lies that fixes of `seen`, in that order, laid; tracks: in the world."""
+    return Georeference(
+        datum=datum,
+        frame=frame,
+        T_world_map=frozen(T_world_map),
+        cov=frozen(cov),
+        robots=tuple(s.robot for s in seen),
+        topics=tuple(s.fixes.topic for s in seen),
+        scale=frozen(found.receivers.scale),
+        owner=frozen(np.concatenate([np.full(len(s.rows), k) for k, s in enumerate(seen)]), np.int64),
+        t=frozen(np.concatenate([s.fixes.t for s in seen])),
+        z=frozen(np.concatenate([s.z for s in seen])),
+        residual=frozen(found.residual),
+        used=frozen(~found.far, np.bool_),
+        tracks=tracks,
+    )
+
+
 def _moved(
     rows: Sequence[ClosureRow],
     robots: Sequence[str],
@@ -292,23 +333,26 @@ def _moved(
     )
 
 
-def _told_of_log(m: LaserMap, fixes: Fixes, frame: str, seen: Mapping[str, Sighted]) -> list[Finding]:
-    """What is to be said of a robot's fixes before anything is made of them."""
-    out = [Finding("fixes-dropped", m.robot, value={"n": n, "value": why}) for why, n in fixes.dropped.items()]
+def told_of_log(robot: str, fixes: Fixes, span: tuple[float, float], frame: str, used: Container[str]) -> list[Finding]:
+    """What is to be said of a robot's fixes before anything is made of them.
+
+    span: when [s] it drove, from and to; frame: of the world; used: robots whose fixes can be of one map.
+    """
+    out = [Finding("fixes-dropped", robot, value={"n": n, "value": why}) for why, n in fixes.dropped.items()]
     silent = np.flatnonzero(np.diff(fixes.t) > SILENT)
     for k in silent.tolist():
-        span = (float(fixes.t[k]), float(fixes.t[k + 1]))
-        out.append(Finding("fixes-silent", m.robot, span, span[1] - span[0]))
-    if m.robot in seen:
+        gap = (float(fixes.t[k]), float(fixes.t[k + 1]))
+        out.append(Finding("fixes-silent", robot, gap, gap[1] - gap[0]))
+    if robot in used:
         unknown = ~np.isfinite(fixes.cov).all(axis=(1, 2))
-        return [*out, *([Finding("fixes-untold", m.robot, value=int(unknown.sum()))] if unknown.any() else [])]
+        return [*out, *([Finding("fixes-untold", robot, value=int(unknown.sum()))] if unknown.any() else [])]
     if fixes.frame != frame:
         why = f"they are told in {fixes.frame}, those of the first robot in {frame}"
-    elif len(fixes.within(float(m.track.t[0]), float(m.track.t[-1]))) < FEWEST:
+    elif len(fixes.within(*span)) < FEWEST:
         why = f"fewer than {FEWEST} are of the time that it drove"
     else:
         why = f"they lie more than {FARTHEST / 1000:.0f} km from those of the first robot"
-    return [*out, Finding("fixes-unused", m.robot, value=why)]
+    return [*out, Finding("fixes-unused", robot, value=why)]
 
 
 def _told_of_map(
@@ -318,7 +362,18 @@ def _told_of_map(
     laid: Laid,
     begin: Mapping[str, int],
 ) -> list[Finding]:
-    """What is to be said of fixes once maps are laid by them."""
+    cov = laid.covariances()
+    return told_of_map(found, [w.robots for w in parts], first, {r: cov[k] for r, k in begin.items()})
+
+
+def told_of_map(
+    found: Georeference, parts: Sequence[Sequence[str]], first: str, cov: Mapping[str, Float[np.ndarray, "3 3"]]
+) -> list[Finding]:
+    """What is to be said of fixes once maps are laid by them.
+
+    parts: the robots of each map that fixes alone tie to the others; first: the robot in whose frame they are one; cov:
+    of each robot's first pose in the world.
+    """
     out = []
     for k, robot in enumerate(found.robots):
         mine = found.owner == k
@@ -329,13 +384,11 @@ def _told_of_map(
             out.append(Finding("fixes-rejected", robot, value=values, action="they are left out"))
         if found.scale[k] > WORSE:
             out.append(Finding("fixes-worse", robot, value=float(found.scale[k])))
-    home = next(w for w in parts if first in w.robots)
-    cov = laid.covariances()
-    for woven in parts:
-        if woven is not home:
-            P = cov[begin[woven.robots[0]]]
+    for robots in parts:
+        if first not in robots:
+            P = cov[robots[0]]
             sd = {"value": float(np.sqrt(np.linalg.eigvalsh(P[:2, :2])[-1])), "turn": float(np.degrees(P[2, 2] ** 0.5))}
-            out += [Finding("placed-by-fixes", r, value={"other": robot_name(first), **sd}) for r in woven.robots]
+            out += [Finding("placed-by-fixes", r, value={"other": robot_name(first), **sd}) for r in robots]
     return out
 
 

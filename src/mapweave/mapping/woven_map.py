@@ -1,7 +1,7 @@
 """Connected robots as one map: every robot's trajectory in one frame, one grid, one graph, all closures."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -54,7 +54,7 @@ class Georeference:
     None where `frame` is a room's and not the earth's; T_world_map: (3,), cov: (3, 3) of it. Of receiver i: the robot
     it is on, its topic, how many times its noise is what it says (`scale`). Of fix k: its receiver `owner`, stamp t
     [s], place z (k, 2) [m] in the world, how far the robot's antenna is estimated from there, residual (k, 2) [m], and
-    whether it was used.
+    whether it was used. tracks: each robot's trajectory in the world, as sure as it is there.
     """
 
     datum: Float[np.ndarray, "3"] | None
@@ -69,6 +69,7 @@ class Georeference:
     z: Float[np.ndarray, "k 2"]
     residual: Float[np.ndarray, "k 2"]
     used: Bool[np.ndarray, " k"]
+    tracks: Mapping[str, Track] = field(default_factory=dict)
 
     def places(self, xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
         """Longitude and latitude [deg] of points of the map, on the plane through the datum; needs a datum."""

@@ -6,6 +6,7 @@ receiver's noise is what its residuals say (never less than it says itself), a f
 longer than a fix, and fixes that are far off fade by a redescending kernel and are left out.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,7 +67,9 @@ class Receivers:
 
 @dataclass(frozen=True, slots=True)
 class Laid:
-    """pose: (n, 3) in the world; residual: (k, 2) [m]; far: (k,) which are wrong; solution: of the poses, in order."""
+    """pose: (n, 3) in the world; residual: (k, 2) [m]; far: (k,) which are wrong; solution: of the poses, in order, and
+    of what else was solved for after them.
+    """
 
     pose: Float[np.ndarray, "n 3"]
     residual: Float[np.ndarray, "k 2"]
@@ -83,7 +86,7 @@ class Laid:
         assert self.solution.information is not None  # noqa: S101  (`lay` gives none without)
         n = len(self.pose)
         held = 3 * first + np.arange(3)
-        across = self.solution.information.columns(held).reshape(n, 3, 3)
+        across = self.solution.information.columns(held)[: 3 * n].reshape(n, 3, 3)
         A, B = se2.between_jacobians(np.broadcast_to(self.pose[first], (n, 3)), self.pose)
         mixed = B @ across @ A.swapaxes(1, 2)
         P = B @ self.covariances() @ B.swapaxes(1, 2) + A @ across[first] @ A.swapaxes(1, 2)
@@ -144,36 +147,56 @@ def turn_sd(p: Float[np.ndarray, "k 2"], sd: float) -> float:
 
 def lay(pose: Float[np.ndarray, "n 3"], motions: Motions, sights: Sights) -> Laid | None:
     """All poses in the world, from `pose`, about where they lie there; None where fixes do not hold them all."""
-    white, told = _told(sights)
-    laid, far = np.asarray(pose), np.zeros(len(sights.t), bool)
     steps = [motion_factor(motions)] if len(motions.first) else []
-    angles = wrapping(3 * np.arange(len(laid)) + 2)
-    pattern: Pattern | None = None
-    receivers = _receivers(sights, white, laid)
+    return lay_among(np.ravel(pose), len(pose), steps, sights)
 
-    def solved(kernel: Kernel | None, last: Float[np.ndarray, " r"]) -> Solution:
+
+def lay_among(
+    x0: Float[np.ndarray, " m"],
+    n: int,
+    terms: Sequence[Factor],
+    sights: Sights,
+    fixed: Bool[np.ndarray, " m"] | None = None,
+    ordered: Callable[[Pattern], Pattern] = Pattern.in_threes,
+    before: Sequence[Sequence[Factor]] = (),
+) -> Laid | None:
+    """`lay`, where more than motions ties poses: x, of which the first 3n entries are poses, is what `terms` are over.
+
+    x0: about where all lies in the world; fixed: entries that are held, no poses; ordered: in which order the problem
+    is eliminated; before: what stands in place of `terms` first, one after the other, for starts that are far off.
+    """
+    white, told = _told(sights)
+    x, far = np.array(x0, dtype=float), np.zeros(len(sights.t), bool)
+    angles = wrapping(3 * np.arange(n) + 2)
+    pattern: Pattern | None = None
+    receivers = _receivers(sights, white, x[: 3 * n].reshape(-1, 3))
+
+    def solved(
+        kernel: Kernel | None, last: Float[np.ndarray, " r"], terms: Sequence[Factor] = terms
+    ) -> tuple[Solution, Float[np.ndarray, "n 3"]]:
         nonlocal pattern
         times = receivers.scale**2 * last
         cov = told * times[sights.of, None, None] * np.where(far, OUT**2, 1.0)[:, None, None]
-        problem = Problem(laid.ravel(), [*steps, fix_factor(sights, cov, kernel)], None, angles)
-        pattern = pattern or Pattern.of(problem).in_threes()
-        return minimise(problem, SOLVE, pattern)
+        problem = Problem(x, [*terms, fix_factor(sights, cov, kernel)], fixed, angles)
+        pattern = pattern or ordered(Pattern.of(problem))
+        found = minimise(problem, SOLVE, pattern)
+        return found, found.x[: 3 * n].reshape(-1, 3)
 
+    for softer in before:
+        x = solved(WIDE, np.ones(len(receivers.scale)), softer)[0].x
     for _ in range(ROUNDS):
-        laid = solved(WIDE, np.ones(len(receivers.scale))).x.reshape(-1, 3)
-        before, receivers = receivers, _receivers(sights, white, laid)
-        if np.abs(receivers.scale / before.scale - 1.0).max() < SETTLED:
+        found, laid = solved(WIDE, np.ones(len(receivers.scale)))
+        x, was, receivers = found.x, receivers, _receivers(sights, white, laid)
+        if np.abs(receivers.scale / was.scale - 1.0).max() < SETTLED:
             break
-    solution = None
     for _ in range(2):
         e = (white @ (sights.at(laid) - sights.z)[..., None])[..., 0] / receivers.scale[sights.of, None]
         far = np.square(e).sum(axis=1) > FAR2
-        solution = solved(None, receivers.lasting)
-        laid = solution.x.reshape(-1, 3)
-        receivers = _receivers(sights, white, laid)
-    if solution is None or solution.information is None or not np.isfinite(laid).all():
+        found, laid = solved(None, receivers.lasting)
+        x, receivers = found.x, _receivers(sights, white, laid)
+    if found.information is None or not np.isfinite(x).all():
         return None
-    return Laid(laid, sights.at(laid) - sights.z, far, receivers, solution)
+    return Laid(laid, sights.at(laid) - sights.z, far, receivers, found)
 
 
 def _told(s: Sights) -> tuple[Float[np.ndarray, "k 2 2"], Float[np.ndarray, "k 2 2"]]:

@@ -64,6 +64,7 @@ HOLDS = {
     "tables": "the tables of this page in Markdown",
     "trajectories.geojson": "where each robot went on earth: longitude and latitude",
     "trajectories": "where each robot went: TUM or CSV, covariances beside",
+    "world": "where each robot went in the world that fixes are told in, covariances beside",
 }
 _OPEN = "<details open>"  # of a figure
 _NUMBER = re.compile(r"[-+−±]?\.?\d")

@@ -9,15 +9,15 @@ the information of their factors for a covariance. Errors that last, and noise t
 larger or smaller.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float, Int
 
 from ..core.gaussian import symmetrise
-from ..solve import Factor, Information, Pattern, SingularError, Solution
+from ..solve import Cauchy, Factor, Information, Pattern, SingularError, Solution
 from .config import (
     CLUSTER,
     FEW_RAISED,
@@ -36,6 +36,7 @@ MOST_TAKEN = 0.95  # share of the errors that residuals may lack: of more they s
 FEWEST, SOLVES = 4, 1500
 TINY = 1e-12  # keeps the factor of a prior of rank one
 UNTOLD = 1e-9  # share of the largest variance: less is a motion of the whole, taken off
+FLOOR = np.diag([POSITION_FLOOR**2, POSITION_FLOOR**2, HEADING_FLOOR**2])  # of every pose's covariance
 CHUNK = 96  # columns of the covariance, or pulls of groups, held at once
 
 
@@ -135,6 +136,21 @@ def _curvature(term: Factor, x: Float[np.ndarray, " n"]) -> float:
     return max(LEAST_CURVED, term.curvature(x))
 
 
+def weakened(team: TeamProblem, x: Float[np.ndarray, " n"], inflation: Mapping[str, float]) -> list[Factor]:
+    """The factors of `team`, each so unsure that a solver's information at x is what `team_covariance` makes of it.
+
+    inflation: of each robot's poses, as smoothing found it.
+    """
+    out = []
+    for term, origin in zip(team.factors, team.origins, strict=True):
+        by = 1.0 if team.has_laser else 1.0 / _curvature(term, x)
+        by *= 1.0 if origin is None else inflation.get(team.parts[origin.robot].robot, 1.0)
+        W = np.ones((1, term.rows)) if term.sqrt_info is None else term.sqrt_info
+        kernel = Cauchy(term.kernel.k / np.sqrt(by)) if isinstance(term.kernel, Cauchy) else term.kernel
+        out.append(replace(term, sqrt_info=W / np.sqrt(by), kernel=kernel))
+    return out
+
+
 @dataclass(frozen=True, slots=True)
 class TeamCovariance:
     """landmarks: (2n, 2n) joint; poses: a robot each, (k, 3, 3); calibration: a robot each, (5,) standard deviations.
@@ -190,13 +206,26 @@ def team_covariance(
         S = symmetrise(by * (model - priors) + priors)
     else:
         S = symmetrise(influence.T @ influence)
-    floor = np.diag([POSITION_FLOOR**2, POSITION_FLOOR**2, HEADING_FLOOR**2])
-    poses = [f * P + floor for f, P in zip(factors, known.pose_blocks(), strict=True)]
+    poses = [f * P + FLOOR for f, P in zip(factors, known.pose_blocks(), strict=True)]
     deviations = np.sqrt(np.maximum(np.diag(S)[m:], 0.0)).reshape(-1, len(PARAMETERS))
     landmarks = S[:m, :m] + POSITION_FLOOR**2 * np.eye(m)
     if team.size_is_held:
         landmarks, poses = _with_size(team, solution.x, before, landmarks, poses)
     return TeamCovariance(landmarks, tuple(poses), tuple(deviations), tuple(factors))
+
+
+def covariance_of_shape(
+    team: TeamProblem, solution: Solution
+) -> tuple[Float[np.ndarray, "m m"], list[Float[np.ndarray, "_ 3 3"]]]:
+    """The covariances of landmarks, jointly, and of poses, a robot each, where factors err as they say.
+
+    Told in the frame that the landmarks as a body are, as those of `team_covariance`, whatever ties that to a world.
+    """
+    if solution.information is None:
+        raise SingularError("the team's problem is singular: something in it is not observed")
+    known = _Known.told(team, solution, solution.information, sp.csr_matrix((0, len(solution.free))), 0)
+    m = 2 * len(team.landmarks)
+    return known.model()[:m, :m] + POSITION_FLOOR**2 * np.eye(m), [P + FLOOR for P in known.pose_blocks()]
 
 
 def _with_size(
@@ -243,6 +272,15 @@ class _Known:
         if solution.information is None:
             raise SingularError("the team's problem is singular: something in it is not observed")
         information = solution.information if team.has_laser else curved(team, solution.x, pattern or team.pattern)
+        known, own = _priors(team, solution.x), scores(team, solution.x, groups)
+        pulls = sp.csr_matrix(sp.vstack([own[np.diff(own.indptr) > 0], known]))[:, solution.free]
+        return cls.told(team, solution, information, pulls, known.shape[0])
+
+    @classmethod
+    def told(
+        cls, team: TeamProblem, solution: Solution, information: Information, pulls: sp.csr_matrix, priors: int
+    ) -> "_Known":
+        """In the frame that the landmarks as a body are; pulls: the scores, the last `priors` of them of priors."""
         n = len(solution.x)
         position = np.full(n, -1)
         position[solution.free] = np.arange(len(solution.free))
@@ -250,9 +288,7 @@ class _Known:
         taken = np.zeros((3, n - team.landmark_start))
         if len(team.landmarks) > 1:
             taken[:, : 2 * len(team.landmarks)] = np.linalg.pinv(motions[team.landmark_columns])
-        known, own = _priors(team, solution.x), scores(team, solution.x, groups)
-        pulls = sp.csr_matrix(sp.vstack([own[np.diff(own.indptr) > 0], known]))[:, solution.free]
-        return cls(team, information, position, solution.free, pulls, known.shape[0], motions, taken)
+        return cls(team, information, position, solution.free, pulls, priors, motions, taken)
 
     @property
     def groups(self) -> int:

@@ -1,7 +1,7 @@
 """One problem for a team in which every robot carries something else: laid out in common frames, then smoothed."""
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 
 from ..core import se2
 from ..core.findings import Finding
+from ..core.fixes import Fixes
 from ..core.landmark_log import LandmarkLog
 from ..core.names import in_order
 from ..core.records import Track
@@ -20,6 +21,7 @@ from ..mapping.config import LaserConfig
 from ..mapping.merge import Merge
 from .clocks import RobotClock, clock_of
 from .config import SMOOTHING_SOFTEN, UNKNOWN_SPEED, UNKNOWN_SPIN, SmoothingConfig
+from .georeference import FRAME_GIVEN, NOT_SMOOTHED, LaidTeam, laid_team, unused_fixes
 from .known import PlacePriors, tied_by_known
 from .relative_frame import (
     CLOCK_FINE_STEP,
@@ -164,7 +166,8 @@ class Path:
 class MixedMap:
     """components: the largest first; layout: how their frames were found; paths: how laser robots are connected.
 
-    clocks: of robots whose logs were found to be ahead of the others; merges: decisions on walls that lasers share.
+    clocks: of robots whose logs were found to be ahead of the others; merges: decisions on walls that lasers share;
+    placed: what is to be said of fixes.
     """
 
     components: tuple[Smoothed, ...]
@@ -172,6 +175,7 @@ class MixedMap:
     paths: tuple[Path, ...]
     clocks: Mapping[str, RobotClock]
     merges: tuple[Merge, ...] = ()
+    placed: tuple[Finding, ...] = ()
 
 
 def map_mixed(
@@ -187,13 +191,15 @@ def map_mixed(
     refine: bool = True,
     laser: LaserConfig | None = None,
     known: PlacePriors | None = None,
+    fixes: Mapping[str, Fixes] | None = None,
 ) -> MixedMap:
     """The map of a team from all that its robots saw.
 
     logs: what each robot drove and saw, one a robot, empty where it did neither; scanned: robots with a laser; mapped:
     what filters made of the robots that saw landmarks with their ranges; own_clocks: robots whose laser logs may have a
     clock of their own; laser: how maps of laser robots are woven by walls that they both saw; None: they are not.
-    known: places known beforehand, whose frame becomes the map's.
+    known: places known beforehand, whose frame becomes the map's; fixes: of laser robots, on the clocks of their scans,
+    beside those in `logs`.
     """
     by = {log.robot: log for log in logs}
     lasers = [Body({robot: s.track}, {}, own_clock=robot in own_clocks) for robot, s in scanned.items()]
@@ -210,7 +216,7 @@ def map_mixed(
         if left and len(walls.parts):
             layout = _further(layout, lay_out(layout.bodies, left, by, labels, placing, smoothing))
     spread = {name: _variance(team.landmarks, k) for team in mapped for k, name in enumerate(team.landmarks.ids)}
-    components = []
+    components: list[Smoothed] = []
     clocks = {robot: RobotClock(layout.clocks.get(robot, 0.0), CLOCK_FINE_STEP) for robot in layout.clocks}
     for body in layout.bodies:
         whole = body.on_team_time()
@@ -230,11 +236,47 @@ def map_mixed(
             if not wrong:
                 break
             team = _with_clocks(team, wrong)
-        loosely = [robot for robot in done.map.tracks if robot not in held and by[robot].odometry is None]
-        cut, notes = fixed_stretches(done.map, loosely, by, labels, placing)
-        against = known.contradicted(done.map)
-        components.append(replace(done, map=cut, notes=(*done.notes, *notes, *against)))
-    return MixedMap(tuple(components), layout, _paths(components, walls, by), clocks, walls.merges)
+        components.append(done)
+    fixed = [_with_fixes(log, (fixes or {}).get(log.robot), clocks.get(log.robot)) for log in logs]
+    if known or not refine:
+        laid = LaidTeam(tuple(components), unused_fixes(fixed, FRAME_GIVEN if known else NOT_SMOOTHED))
+    else:
+        graphs = {robot: _on_time(scan.graph, clocks.get(robot)) for robot, scan in walls.scanned.items()}
+        laid = laid_team(components, fixed, labels, smoothing, calibration, graphs, walls.crossings)
+    whole = laid.components if not refine else [_settled(s, held, by, labels, placing, known) for s in laid.components]
+    return MixedMap(tuple(whole), layout, _paths(whole, walls, by), clocks, walls.merges, laid.findings)
+
+
+def _with_fixes(log: LandmarkLog, of_laser: Fixes | None, clock: RobotClock | None) -> LandmarkLog:
+    """The log with its fixes, else those beside its scans, on the team's clock."""
+    if log.fixes is not None or of_laser is None:
+        return log
+    return replace(log, fixes=replace(of_laser, t=of_laser.t - (0.0 if clock is None else clock.ahead)))
+
+
+def _settled(
+    done: Smoothed,
+    held: Collection[str],
+    logs: Mapping[str, LandmarkLog],
+    labels: Labels,
+    placing: PlacingConfig,
+    known: PlacePriors,
+) -> Smoothed:
+    """The component with the paths of robots that made no map, and have no wheels, cut to where sightings fix them."""
+    loosely = [robot for robot in done.map.tracks if robot not in held and logs[robot].odometry is None]
+    cut, notes = fixed_stretches(done.map, loosely, logs, labels, placing)
+    where = done.georeference
+    if where is not None:
+        where = replace(
+            where, tracks={r: _at_stamps_of(cut.tracks[r], w) for r, w in where.tracks.items() if r in cut.tracks}
+        )
+    return replace(done, map=cut, notes=(*done.notes, *notes, *known.contradicted(done.map)), georeference=where)
+
+
+def _at_stamps_of(kept: Track, track: Track) -> Track:
+    """The poses of `track` at the stamps that `kept` has left."""
+    rows = np.isin(track.t, kept.t)
+    return Track(track.t[rows], track.pose[rows], None if track.cov is None else track.cov[rows], track.frame)
 
 
 def first_layout(

@@ -38,6 +38,7 @@ from .robot_part import (
 SMOOTHING_ITERATIONS = 40  # steps of the solver, at most
 
 WIDER, LONGEST = 1.25, 30.0  # times as long are steps made at a time where poses are too many, and [s] at most
+OF_ALL = frozenset({"prior", "scale", "size"})  # factors that say nothing of where anything is
 HELD_TOGETHER = 0.001  # share of the size of a map that nothing but ranges tells: so firmly it is held
 
 
@@ -70,10 +71,14 @@ class TeamProblem:
     @property
     def pattern(self) -> Pattern:
         """Where the factors' blocks go, trajectories eliminated first and all else last: found anew when asked."""
+        return self.ordered(Pattern.of(self.problem))
+
+    def ordered(self, pattern: Pattern) -> Pattern:
+        """`pattern`, of this problem's variables, with trajectories eliminated first and all else last."""
         free = self.problem.free
         parameters = self.parts[0].parameters
         node = _nodes(len(self.problem.x0), self.landmark_start, parameters)[free]
-        return Pattern.of(self.problem).least_fill(node, free >= self.landmark_start)
+        return pattern.least_fill(node, free >= self.landmark_start)
 
     def solve(self, start: Float[np.ndarray, " n"] | None = None, pattern: Pattern | None = None) -> Solution:
         """The minimum near the start (or near `start`); `pattern`: where it is known already."""
@@ -90,6 +95,18 @@ class TeamProblem:
             for term in self.factors
         ]
         return replace(self, problem=replace(self.problem, terms=terms))
+
+    def held_at(self, poses: Int[np.ndarray, " k"]) -> "TeamProblem":
+        """The same problem with a frame that something else tells: at entries `poses` of x, and all that is tied to it.
+
+        Of what is not tied to any of them, the first pose stays held.
+        """
+        fixed = np.zeros(len(self.problem.x0), bool) if self.problem.fixed is None else self.problem.fixed.copy()
+        fixed[: self.landmark_start] = False
+        tying = [term for term in self.factors if term.name not in OF_ALL]
+        for part in _first_of_groups(self.parts, tying, len(fixed), poses):
+            fixed[part.start : part.start + 3] = True
+        return replace(self, problem=replace(self.problem, fixed=fixed))
 
     @property
     def size_is_held(self) -> bool:

@@ -19,6 +19,7 @@ from ..core.records import Track
 from ..landmarks.landmark_map import LandmarkMap
 from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import blended
+from ..mapping.woven_map import Georeference
 from ..solve import SingularError, Solution, SolveStatus
 from .clocks import RobotClock, clocks_of
 from .commanded_motion import LAG, TURN
@@ -57,7 +58,7 @@ class Smoothed:
 
     prior: what was known of each parameter before; used: factors of each kind; poses: how many were estimated;
     refused: why the map is still the filters', or ""; notes: what else there is to say of how it came about; cost: of
-    the problem at its end; clocks: robots whose clocks look off in it.
+    the problem at its end; clocks: robots whose clocks look off in it; georeference: where fixes put it.
     """
 
     map: TeamMap
@@ -72,6 +73,7 @@ class Smoothed:
     notes: tuple[Finding, ...] = ()
     cost: float = 0.0
     clocks: Mapping[str, RobotClock] = field(default_factory=dict)
+    georeference: Georeference | None = None
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -111,15 +113,12 @@ def smooth(
     ]
     if not chosen:
         return _kept(team, cfg, "nobody saw anything")
-    if any(log.robot in scans for log in chosen):
-        cfg = replace(cfg, camera=_beside_laser(cfg.camera))
-    wider = with_fewer_poses(chosen, cfg, scans)
-    notes = () if wider is cfg else (_told_of_steps(wider),)
+    wider = assumed(chosen, cfg, scans)
+    notes = () if wider.shortest_step == cfg.shortest_step else (_told_of_steps(wider),)
     cfg, start = wider, team
-    if all(log.odometry is None and log.robot not in scans for log in chosen) and len(team.landmarks) > 2:
-        range_scale = BARE_RANGE_SCALE
-        cfg = replace(cfg, calibration=replace(cfg.calibration, range_scale=range_scale))
-        start = _enlarged(team, 1.0 / range_scale)
+    if of_ranges_alone(chosen, scans) and len(team.landmarks) > 2:
+        cfg = replace(cfg, calibration=replace(cfg.calibration, range_scale=BARE_RANGE_SCALE))
+        start = _enlarged(team, 1.0 / BARE_RANGE_SCALE)
     problem = team_problem(
         chosen, start.landmarks, start.tracks, labels, calibration or {}, cfg, scans, crossings, known=known
     )
@@ -137,13 +136,13 @@ def smooth(
         return _kept(team, cfg, str(error), problem, solution)
     tracks = dict(team.tracks)
     for part, P in zip(problem.parts, cov.poses, strict=True):
-        tracks[part.robot] = _dense(part, solution.x, P)
+        tracks[part.robot] = dense_track(part, solution.x, P)
     m = 2 * len(problem.landmarks)
     mean = solution.x[problem.landmark_start : problem.landmark_start + m].reshape(-1, 2)
     landmarks = LandmarkMap(problem.landmarks, mean, cov.landmarks, team.landmarks.frame)
     return Smoothed(
         map=replace(team, landmarks=landmarks, tracks=tracks),
-        calibration=_calibration(problem, solution, cov),
+        calibration=calibration_of(problem, solution, cov),
         inflation={part.robot: f for part, f in zip(problem.parts, cov.inflation, strict=True)},
         used=problem.used,
         poses=sum(len(part.instants.t) for part in problem.parts),
@@ -154,6 +153,18 @@ def smooth(
         cost=solution.cost,
         clocks=clocks_of(problem, solution, CLOCK_SUSPECT, CLUSTER, clocks),
     )
+
+
+def of_ranges_alone(logs: Sequence[LandmarkLog], scans: Collection[str]) -> bool:
+    """Whether nobody has wheels or a laser."""
+    return all(log.odometry is None and log.robot not in scans for log in logs)
+
+
+def assumed(logs: Sequence[LandmarkLog], cfg: SmoothingConfig, scans: Collection[str]) -> SmoothingConfig:
+    """`cfg` as it is for these logs: beside a laser ranges count less, and of too many poses some are not estimated."""
+    if any(log.robot in scans for log in logs):
+        cfg = replace(cfg, camera=_beside_laser(cfg.camera))
+    return with_fewer_poses(logs, cfg, scans)
 
 
 def _told_of_steps(cfg: SmoothingConfig) -> Finding:
@@ -207,7 +218,7 @@ def _kept(
     )
 
 
-def _calibration(problem: TeamProblem, solution: Solution, cov: TeamCovariance) -> dict[str, Calibration]:
+def calibration_of(problem: TeamProblem, solution: Solution, cov: TeamCovariance) -> dict[str, Calibration]:
     """What was found of every robot; parameters that were held are left out."""
     free = np.zeros(len(solution.x), bool)
     free[solution.free] = True
@@ -220,7 +231,7 @@ def _calibration(problem: TeamProblem, solution: Solution, cov: TeamCovariance) 
     return out
 
 
-def _dense(part: RobotPart, x: Float[np.ndarray, " n"], cov: Float[np.ndarray, "k 3 3"]) -> Track:
+def dense_track(part: RobotPart, x: Float[np.ndarray, " n"], cov: Float[np.ndarray, "k 3 3"]) -> Track:
     """Poses at every stamp of the log: between instants as commanded, bent so that both ends are met."""
     log, at = part.log, part.instants.t
     poses = x[part.start : part.start + 3 * len(at)].reshape(-1, 3)
@@ -264,7 +275,7 @@ def smooth_on_one_clock(
     """
 
     def on(clocks: Mapping[str, float]) -> Smoothed:
-        shifted = [_with_earlier_stamps(log, clocks.get(log.robot, 0.0)) for log in logs]
+        shifted = [with_earlier_stamps(log, clocks.get(log.robot, 0.0)) for log in logs]
         tracks = {r: replace(track, t=track.t - clocks.get(r, 0.0)) for r, track in team.tracks.items()}
         first = replace(team, tracks=tracks) if clocks else team
         return smooth(first, shifted, labels, cfg, calibration, soften=soften, known=known, clocks=clocks)
@@ -311,7 +322,7 @@ def _gain(before: Smoothed, after: Smoothed) -> float:
     return before.cost * min(1.0, left / max(n, 1)) - after.cost
 
 
-def _with_earlier_stamps(log: LandmarkLog, ahead: float) -> LandmarkLog:
+def with_earlier_stamps(log: LandmarkLog, ahead: float) -> LandmarkLog:
     """The log with its stamps `ahead` [s] earlier."""
     if not ahead:
         return log
@@ -322,6 +333,7 @@ def _with_earlier_stamps(log: LandmarkLog, ahead: float) -> LandmarkLog:
         sightings=_earlier(log.sightings, ahead),
         bearings=_earlier(log.bearings, ahead),
         cuts=tuple(t - ahead for t in log.cuts),
+        fixes=None if log.fixes is None else replace(log.fixes, t=log.fixes.t - ahead),
     )
 
 
