@@ -87,6 +87,7 @@ TABLES = (
     Table("pose graphs", "docs/laser.md", bench("solve"), "stdout"),
     Table("ranges", "docs/methods/ranging.md", bench("ranges"), "stdout"),
     Table("fixes", "docs/methods/fixes.md", bench("fixes"), "stdout"),
+    Table("fixes of teams", "docs/methods/fixes.md", bench("fixes", "--teams"), "stdout"),
     Table("starts searched", "docs/laser.md", bench("localize_trust"), "stdout"),
     Table(
         "wrong sightings",

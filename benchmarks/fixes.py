@@ -1,22 +1,39 @@
-"""Where simulated drives lie in the world by their position fixes: `python benchmarks/fixes.py` prints the table.
+"""Where simulated drives lie in the world by their position fixes: `python benchmarks/fixes.py [--teams]` prints it.
 
 One office and one ring of corridor are mapped once each; fixes are drawn anew for every row, and the maps laid by them.
+`--teams`: landmark teams of two pairs of robots that share nothing, and mixed teams of which nobody saw another, each
+mapped without fixes and then laid by those of every row.
 """
 
+import argparse
+import sys
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).parents[1]))  # teams are those of the tests
+
+from tests.team.fixed_teams import alone, anywhere, carrying, errors, fixed, nees
+from tests.team.mixed_teams import mixed
+
 import mapweave
+from mapweave.api.map_landmarks import map_landmark_logs
+from mapweave.api.map_options import MapOptions
 from mapweave.api.simulate import SimulatedDrive, World
 from mapweave.core import se2
 from mapweave.core.fixes import Fixes, enu_of, place_of
+from mapweave.core.records import Track
 from mapweave.laser.laser_map import LaserMap
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.georeference import georeferenced
 from mapweave.mapping.woven_map import own_map
 from mapweave.sim.laser import DATUM, JUMP, simulated_fixes
 from mapweave.sim.laser_worlds import CorridorConfig, OfficeConfig
+from mapweave.team.config import SmoothingConfig
+from mapweave.team.georeference import laid_team
+from mapweave.team.smooth import Smoothed
 
 WORLDS: tuple[tuple[str, World], ...] = (
     ("office", OfficeConfig(rooms=4, visited=2)),
@@ -24,12 +41,13 @@ WORLDS: tuple[tuple[str, World], ...] = (
 )
 UNSURE = LaserConfig().graph.unsure
 NOISES, SHARES, DRAWS = (0.02, 0.5, 2.0), (0.0, 0.3), 20  # [m], of fixes that jump, of each row
+TEAMS = 10  # of each kind
 
 
-def drawn(drive: SimulatedDrive, sd: float, share: float, seed: int) -> Fixes:
-    """Fixes of the drive, so many of them somewhere else."""
+def drawn(truth: Track, sd: float, share: float, seed: int) -> Fixes:
+    """Fixes of a drive, so many of them somewhere else."""
     rng = np.random.default_rng(seed)
-    fixes = simulated_fixes(drive.truth, sd, rng)
+    fixes = simulated_fixes(truth, sd, rng)
     gone = rng.random(len(fixes)) < share
     off = np.column_stack([JUMP * rng.standard_normal((len(fixes), 2)), np.zeros(len(fixes))]) * gone[:, None]
     return replace(fixes, place=place_of(enu_of(fixes.place, DATUM) + off, DATUM))
@@ -39,7 +57,7 @@ def row(name: str, drive: SimulatedDrive, own: LaserMap, sd: float, share: float
     """How far the map's first pose and the trajectory are off in the world, and how far they say they are."""
     first, turn, along, nees, used = [], [], [], [], []
     for seed in range(DRAWS):
-        m = replace(own, fixes=drawn(drive, sd, share, seed))
+        m = replace(own, fixes=drawn(drive.truth, sd, share, seed))
         woven = georeferenced([own_map(m)], [m], own.grid.resolution, UNSURE).components[0]
         g = woven.georeference
         if g is None:
@@ -56,7 +74,7 @@ def row(name: str, drive: SimulatedDrive, own: LaserMap, sd: float, share: float
         used.append(g.used.mean())
     cells = [
         name,
-        str(len(drawn(drive, sd, share, 0))),
+        str(len(drawn(drive.truth, sd, share, 0))),
         f"{sd:g}",
         f"{100 * share + 3:.0f}",
         f"{100 * (1 - np.mean(used)):.0f}",
@@ -69,7 +87,75 @@ def row(name: str, drive: SimulatedDrive, own: LaserMap, sd: float, share: float
     print(f"| {' | '.join(cells)} |")
 
 
+Made = Callable[[dict[str, Fixes]], tuple[Smoothed, ...]]
+
+
+def pairs(seed: int) -> tuple[dict[str, Track], Made]:
+    """Two robots among landmarks, and two others among others: where they went, and what fixes make of them."""
+    here, there = fixed(seed), fixed(seed + 100, first=3)
+    logs = (*here.logs, *there.logs)
+    result = map_landmark_logs(logs, MapOptions(), "")
+
+    def made(fixes: dict[str, Fixes]) -> tuple[Smoothed, ...]:
+        own = carrying(logs, fixes)
+        return laid_team(result.smoothed, own, result.fusion.labels, SmoothingConfig()).components
+
+    return {**here.truth, **there.truth}, made
+
+
+def laser_and_camera(seed: int) -> tuple[dict[str, Track], Made]:
+    """A laser robot and a camera robot; nobody saw another."""
+    team = mixed(seed, lasers=1, cameras=1, bearings=0, landmarks=10, minutes=2.0)
+
+    def made(fixes: dict[str, Fixes]) -> tuple[Smoothed, ...]:
+        of_lasers = {robot: f for robot, f in fixes.items() if robot in team.scanned}
+        cameras = {robot: f for robot, f in fixes.items() if robot not in of_lasers}
+        return team.map(logs=carrying(map(alone, team.logs), cameras), fixes=of_lasers).components
+
+    return anywhere({robot: true.track for robot, true in team.truth.robots.items()}, seed), made
+
+
+def team_row(name: str, drives: list[tuple[dict[str, Track], Made]], sd: float, share: float) -> None:
+    """How far poses are off in the world, and how far they say they are, of one team a seed."""
+    square, told, used, whole = [], [], [], 0
+    for seed, (truth, made) in enumerate(drives):
+        ways = enumerate(truth.items())
+        components = made({robot: drawn(way, sd, share, 10 * seed + k) for k, (robot, way) in ways})
+        whole += len(components[0].map.robots) == len(truth)
+        for g in (s.georeference for s in components):
+            if g is not None:
+                used.append(g.used.mean())
+                square.append(np.square(errors(g, truth)[0][:, :2]).sum(axis=1).mean())
+                told.append(nees(g, truth))
+    cells = [
+        name,
+        str(len(drives[0][0])),
+        f"{sd:g}",
+        f"{100 * share + 3:.0f}",
+        f"{100 * (1 - np.mean(used)):.0f}",
+        f"{np.sqrt(np.mean(square)):.3f}",
+        f"{np.mean(told):.2f}",
+        f"{whole} of {len(drives)}",
+    ]
+    print(f"| {' | '.join(cells)} |", flush=True)
+
+
+def teams() -> None:
+    print("| team | robots | noise [m] | jump [%] | left out [%] | trajectory [m] | NEES / dof | in one map |")
+    print("|" + "---|" * 8)
+    for name, kind in (("landmarks", pairs), ("laser and camera", laser_and_camera)):
+        drives = [kind(seed) for seed in range(1, TEAMS + 1)]
+        for sd in NOISES[1:]:
+            for share in SHARES:
+                team_row(name, drives, sd, share)
+
+
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--teams", action="store_true", help="landmark and mixed teams")
+    if parser.parse_args().teams:
+        teams()
+        return
     places = "first pose [m], [deg] | trajectory [m] | NEES / dof"
     print(f"| world | fixes | noise [m] | jump [%] | left out [%] | {places} | laid |".replace(", [deg]", " | [deg]"))
     print("|" + "---|" * 10)

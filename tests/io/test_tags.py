@@ -7,9 +7,9 @@ import pytest
 
 import mapweave
 from mapweave.api.map_landmarks import map_landmark_logs
-from mapweave.api.map_options import MapOptions
+from mapweave.api.map_options import LaserOptions, MapOptions
 from mapweave.core import se2
-from mapweave.core.errors import ReaderError
+from mapweave.core.errors import ReaderError, UsageError
 from mapweave.io.landmark_logs import is_landmark_log, read_landmark_logs
 from mapweave.io.tags import velocities
 
@@ -182,3 +182,15 @@ def test_fixes_of_every_robot_are_read_beside_its_tags(tmp_path):
     assert left.reason == "another receiver is read, or none was asked for; --fixes /robot1/fix reads this one"
     with pytest.raises(ReaderError, match="--fixes: no topic '/gps'"):
         read_landmark_logs(tmp_path / "pair.mcap", fixes="/gps")
+
+
+def test_a_recording_of_tags_with_fixes_is_laid_by_them_unless_they_are_left_out(tmp_path):
+    one = fixed(1)
+    bag = tag_bag(tmp_path / "pair.mcap", carrying(one.logs, one.fixes(1.0, 1)))
+    laid = mapweave.map(bag, robots=[1])
+    assert laid.smoothed[0].georeference.topics == ("/robot1/fix",)
+    off = mapweave.map(bag, robots=[1], laser=LaserOptions(fixes="none"))
+    assert off.smoothed[0].georeference is None
+    mapweave.simulate_landmarks(tmp_path / "set", robots=1, landmarks=4, minutes=0.1)
+    with pytest.raises(UsageError, match="--fixes: only for laser logs"):
+        mapweave.map(tmp_path / "set", laser=LaserOptions(fixes="/fix"))

@@ -1,5 +1,6 @@
 """Simulated teams with receivers: two robots among landmarks, anywhere on earth, and what is true of them there."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -14,16 +15,18 @@ from mapweave.core.landmark_log import LandmarkLog, SightingTable
 from mapweave.core.records import Track
 from mapweave.mapping.woven_map import Georeference
 from mapweave.sim.laser import DATUM, placed, simulated_fixes
+from mapweave.team.smooth import Smoothed
 
 from .teams import world
 
 
 @dataclass(frozen=True)
 class Fixed:
-    """logs: without fixes; truth: of each robot, east and north of the simulators' datum."""
+    """logs: without fixes; truth: of each robot, landmarks: east and north of the simulators' datum."""
 
     logs: tuple[LandmarkLog, ...]
     truth: dict[str, Track]
+    landmarks: dict[str, np.ndarray]
 
     def fixes(self, sd: float, seed: int) -> dict[str, Fixes]:
         return receivers(self.truth, sd, seed)
@@ -45,11 +48,37 @@ def fixed(seed: int, first: int = 1, minutes: float = 2.0) -> Fixed:
         replace(log, robot=names[log.robot], sightings=named(log.sightings), bearings=named(log.bearings), log_hash="")
         for log in made.logs
     )
-    return Fixed(logs, anywhere({names[r]: truth.track for r, truth in made.truth.robots.items()}, seed))
+    T, survey = placed(np.random.default_rng(seed)), made.truth.survey
+    landmarks = {f"{first}-{n}": at for n, at in zip(survey.ids, se2.act(T, np.asarray(survey.xy)), strict=True)}
+    return Fixed(logs, anywhere({names[r]: truth.track for r, truth in made.truth.robots.items()}, seed), landmarks)
 
 
-def carrying(logs: tuple[LandmarkLog, ...], fixes: dict[str, Fixes]) -> tuple[LandmarkLog, ...]:
+def carrying(logs: Iterable[LandmarkLog], fixes: dict[str, Fixes]) -> tuple[LandmarkLog, ...]:
     return tuple(replace(log, fixes=fixes.get(log.robot)) for log in logs)
+
+
+def alone(log: LandmarkLog) -> LandmarkLog:
+    """The log without sightings of robots."""
+
+    def kept(table: SightingTable) -> SightingTable:
+        return table.select(np.array([not name.startswith("robot") for name in table.ids], bool)[table.what])
+
+    return replace(log, sightings=kept(log.sightings), bearings=kept(log.bearings))
+
+
+def from_datum(g: Georeference, xy: np.ndarray) -> np.ndarray:
+    """Points of the world that `g` tells of, east and north of the simulators' datum."""
+    return enu_of(place_of(np.column_stack([xy, np.zeros(len(xy))]), g.datum), DATUM)[:, :2]
+
+
+def body_nees(made: Smoothed, landmarks: dict[str, np.ndarray]) -> float:
+    """Of where the map's landmarks lie in the world as one body, by its three degrees of freedom."""
+    g, ours = made.georeference, made.map.landmarks
+    there = from_datum(g, se2.act(g.T_world_map, ours.mean))
+    true = np.array([landmarks[name] for name in ours.ids])
+    origin = from_datum(g, g.T_world_map[None, :2])[0]
+    off = se2.align(true - origin, there - origin)
+    return float(off @ np.linalg.solve(g.cov, off) / 3)
 
 
 def errors(g: Georeference, truth: dict[str, Track], every: int = 20) -> tuple[np.ndarray, np.ndarray]:
@@ -59,8 +88,7 @@ def errors(g: Georeference, truth: dict[str, Track], every: int = 20) -> tuple[n
         true = truth[robot]
         rows = np.flatnonzero((track.t >= true.t[0]) & (track.t <= true.t[-1]))[::every]
         pose = track.pose[rows].copy()
-        flat = np.column_stack([pose[:, :2], np.zeros(len(pose))])
-        pose[:, :2] = enu_of(place_of(flat, g.datum), DATUM)[:, :2]
+        pose[:, :2] = from_datum(g, pose[:, :2])
         off = pose - se2.interpolate(track.t[rows], true.t, true.pose)
         off[:, 2] = se2.wrap_angle(off[:, 2])
         e.append(off)

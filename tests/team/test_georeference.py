@@ -16,7 +16,7 @@ from mapweave.sim.laser import DATUM, simulated_fixes
 from mapweave.team.config import SmoothingConfig
 from mapweave.team.georeference import laid_team
 
-from .fixed_teams import carrying, errors, fixed, nees
+from .fixed_teams import body_nees, carrying, errors, fixed, nees
 
 NOISE = 1.0  # [m]
 
@@ -82,12 +82,14 @@ def test_robots_that_share_nothing_are_in_one_map_by_their_fixes(two, tmp_path):
 
 @pytest.mark.slow
 def test_poses_in_the_world_are_as_sure_as_they_say():
-    told = []
+    told, of_maps = [], []
     for seed in range(3, 15):
         one = fixed(seed, minutes=1.5)
         found = laid(one.mapped(), carrying(one.logs, one.fixes(NOISE, seed)))
         told.append(nees(found.components[0].georeference, one.truth))
+        of_maps.append(body_nees(found.components[0], one.landmarks))
     assert 0.5 < np.mean(told) < 2.0
+    assert 0.5 < np.mean(of_maps) < 2.0
 
 
 def test_without_fixes_all_stays_as_it_was(two):

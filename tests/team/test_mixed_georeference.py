@@ -13,7 +13,7 @@ from mapweave.io.laser_logs import LaserSource, read_laser
 from mapweave.io.mixed_logs import read_mixed_landmarks, sorted_logs
 from mapweave.team.known import PlacePriors
 
-from .fixed_teams import anywhere, errors, nees, receivers
+from .fixed_teams import alone, anywhere, errors, nees, receivers
 from .mixed_teams import mixed
 
 NOISE = 1.0  # [m]
@@ -29,15 +29,6 @@ def with_fixes(seed, *, sd=NOISE, gone=()):
         replace(log, fixes=None if log.robot in made.scanned else fixes.get(log.robot)) for log in map(alone, made.logs)
     ]
     return made, truth, logs, {r: f for r, f in fixes.items() if r in made.scanned}
-
-
-def alone(log):
-    """The log without sightings of robots."""
-
-    def kept(table):
-        return table.select(np.array([not name.startswith("robot") for name in table.ids], bool)[table.what])
-
-    return replace(log, sightings=kept(log.sightings), bearings=kept(log.bearings))
 
 
 def test_walls_and_landmarks_that_share_no_view_are_in_one_map_by_fixes():

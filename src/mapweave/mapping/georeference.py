@@ -372,7 +372,7 @@ def told_of_map(
     """What is to be said of fixes once maps are laid by them.
 
     parts: the robots of each map that fixes alone tie to the others; first: the robot in whose frame they are one; cov:
-    of each robot's first pose in the world.
+    of where each robot's map lies in the world.
     """
     out = []
     for k, robot in enumerate(found.robots):

@@ -9,7 +9,7 @@ the information of their factors for a covariance. Errors that last, and noise t
 larger or smaller.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -226,6 +226,16 @@ def covariance_of_shape(
     known = _Known.told(team, solution, solution.information, sp.csr_matrix((0, len(solution.free))), 0)
     m = 2 * len(team.landmarks)
     return known.model()[:m, :m] + POSITION_FLOOR**2 * np.eye(m), [P + FLOOR for P in known.pose_blocks()]
+
+
+def covariance_of_body(
+    team: TeamProblem, solution: Solution, names: Collection[str], at: Float[np.ndarray, "2"]
+) -> Float[np.ndarray, "3 3"]:
+    """Of where landmarks `names`, two or more, lie in the world as one body: of its point `at` and its turn."""
+    columns = team.landmark_columns.reshape(-1, 2)[[name in names for name in team.landmarks]].ravel()
+    taken = np.linalg.pinv(_motions(team, solution.x)[columns])
+    J = np.array([[1.0, 0.0, -at[1]], [0.0, 1.0, at[0]], [0.0, 0.0, 1.0]])
+    return symmetrise(J @ taken @ solution.covariance(columns) @ taken.T @ J.T)
 
 
 def _with_size(

@@ -30,7 +30,7 @@ from ..mapping.georeference import (
 from ..ranges.fixes import FEWEST, Laid, lay_among
 from ..solve import Factor
 from .config import SMOOTHING_SOFTEN, SmoothingConfig
-from .covariance import FLOOR, TeamCovariance, covariance_of_shape, weakened
+from .covariance import FLOOR, TeamCovariance, covariance_of_body, covariance_of_shape, weakened
 from .factors import InterRobotEdge
 from .problem import TeamProblem, team_problem
 from .relative_frame import Labels, moved_track
@@ -254,14 +254,23 @@ def _finished(
     )
     head = min((r for r in laid.robots if len(laid.tracks[r].t)), key=in_order)
     T = laid.tracks[head].pose[0]
-    first = there[nodes[head][0]] if head in nodes else found.covariances()[0]
-    georeference = georeference_of(datum, frame, T, first, sighted, found, world)
+    if len(team.landmarks) < 2:
+        frame_cov = there[nodes[head][0]] if head in nodes else there[0]
+    else:
+        frame_cov = covariance_of_body(team, found.solution, team.landmarks, T[:2]) + FLOOR
+    georeference = georeference_of(datum, frame, T, frame_cov, sighted, found, world)
     parameters = np.concatenate([part.parameters + np.arange(len(PARAMETERS)) for part in team.parts])
     deviations = np.sqrt(found.solution.blocks(parameters[:, None])[:, 0, 0])
     cov = TeamCovariance(landmarks, tuple(poses), tuple(deviations.reshape(len(team.parts), -1)), ())
     parts = [g.smoothed for g in group]
-    first_pose = {r: there[at[0]] for r, at in nodes.items()}
-    told = told_of_map(georeference, [[r for r in s.map.robots if r in nodes] for s in parts], head, first_pose)
+    sure: dict[str, np.ndarray] = {}
+    for s in parts:
+        names = [name for name in s.map.landmarks.ids if name in team.landmarks]
+        first = next((nodes[r][0] for r in s.map.robots if r in nodes), 0)
+        body = mean[[name in names for name in team.landmarks]]
+        at = covariance_of_body(team, found.solution, names, body.mean(axis=0)) if len(names) > 1 else there[first]
+        sure |= dict.fromkeys(s.map.robots, at)
+    told = told_of_map(georeference, [[r for r in s.map.robots if r in nodes] for s in parts], head, sure)
     used: dict[str, int] = {"fixes": int(georeference.used.sum())}
     for s in parts:
         used = {name: used.get(name, 0) + s.used.get(name, 0) for name in {**s.used, **used}}
