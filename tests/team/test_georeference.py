@@ -6,15 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import mapweave
 from mapweave.api.map_landmarks import map_landmark_logs
 from mapweave.api.map_options import MapOptions
 from mapweave.core import se2
 from mapweave.core.fixes import enu_of
+from mapweave.core.landmark_log import NOTHING_SEEN
 from mapweave.core.records import Track
 from mapweave.mapping import georeference
 from mapweave.sim.laser import DATUM, simulated_fixes
 from mapweave.team.config import SmoothingConfig
-from mapweave.team.georeference import laid_team
+from mapweave.team.georeference import laid_team, seen_from_first
 
 from .fixed_teams import body_nees, carrying, errors, fixed, nees
 
@@ -78,6 +80,8 @@ def test_robots_that_share_nothing_are_in_one_map_by_their_fixes(two, tmp_path):
     assert np.hypot(*(np.median(xy, axis=0) - middle)) < 2.0
     assert (tmp_path / "out" / "fixes.csv").is_file()
     assert (tmp_path / "out" / "world" / "robot4.cov.csv").is_file()
+    again = mapweave.load(tmp_path / "out").smoothed[0].georeference
+    assert again.row() == g.row()
 
 
 @pytest.mark.slow
@@ -90,6 +94,29 @@ def test_poses_in_the_world_are_as_sure_as_they_say():
         of_maps.append(body_nees(found.components[0], one.landmarks))
     assert 0.5 < np.mean(told) < 2.0
     assert 0.5 < np.mean(of_maps) < 2.0
+
+
+def test_a_map_seen_from_another_pose_lies_where_it_lay(pair):
+    one, made, fixes = pair
+    before = laid(made, carrying(one.logs, fixes)).components[0]
+    track = before.map.tracks["robot1"]
+    later = Track(track.t[500:], track.pose[500:], track.cov[500:])
+    cut = seen_from_first(replace(before, map=replace(before.map, tracks={**before.map.tracks, "robot1": later})))
+    np.testing.assert_allclose(cut.map.tracks["robot1"].pose[0], 0.0, atol=1e-9)
+    where, now = (se2.act(s.georeference.T_world_map, s.map.landmarks.mean) for s in (before, cut))
+    np.testing.assert_allclose(now, where, atol=1e-6)
+    assert body_nees(cut, one.landmarks) == pytest.approx(body_nees(before, one.landmarks), rel=0.01)
+
+
+def test_a_robot_that_saw_nothing_is_placed_by_its_wheels_and_its_fixes(two):
+    here, there, _ = two
+    blind = replace(there.logs[0], sightings=NOTHING_SEEN, bearings=NOTHING_SEEN)
+    logs = carrying((*here.logs, blind), {**here.fixes(NOISE, 1), **there.fixes(NOISE, 2)})
+    made = map_landmark_logs(logs, MapOptions(), "one saw nothing")
+    assert made.maps[0].robots == ("robot1", "robot2", "robot3")
+    g = made.smoothed[0].georeference
+    e, _ = errors(replace(g, tracks={"robot3": g.tracks["robot3"]}), there.truth)
+    assert np.sqrt(np.square(e[:, :2]).sum(axis=1).mean()) < 1.0
 
 
 def test_without_fixes_all_stays_as_it_was(two):

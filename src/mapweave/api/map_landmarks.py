@@ -32,7 +32,7 @@ from ..landmarks.mapping import Growth, grow, without_impossible
 from ..solve import SingularError
 from ..team.clocks import of_another_time, on_camera_clock
 from ..team.config import ONLINE_FAR, SMOOTHING_SOFTEN, OnlineConfig, SmoothingConfig
-from ..team.georeference import FRAME_GIVEN, NOT_SMOOTHED, laid_team, unused_fixes
+from ..team.georeference import FRAME_GIVEN, NOT_SMOOTHED, laid_team, seen_from_first, unused_fixes
 from ..team.kidnapped import cut_kidnapped, with_stretches
 from ..team.known import PlacePriors, framed
 from ..team.mixed import regained
@@ -284,7 +284,7 @@ def _map_read(
     )
     if options.survey is None and not options.start:
         maps = tuple(in_first_frame(m) for m in maps)
-        smoothed = tuple(replace(s, map=in_first_frame(s.map)) for s in smoothed)
+        smoothed = tuple(map(seen_from_first, smoothed))
     watch.lap("smooth")
     result = team_result(title, options.seed, local, fusion, options.truth, online, watch, maps, smoothed, run)
     return replace(result, unused=tuple(unused_by_all((log.source, log.unused) for log in logs)))

@@ -45,10 +45,11 @@ from ..report.score import headline_scores
 from ..report.style import Target
 from ..team.clocks import on_camera_clock
 from ..team.config import ANOTHER_TIME
+from ..team.georeference import seen_from_first
 from ..team.kidnapped import Cut, cut_kidnapped, with_stretches
 from ..team.known import PlacePriors
 from ..team.mixed import MixedMap, map_mixed, regained
-from ..team.team_map import TeamMap, at_every_stamp, in_first_frame
+from ..team.team_map import TeamMap, at_every_stamp
 from ..team.walls import Scanned
 from .evaluate import Evaluation, judged
 from .map_landmarks import CameraTeamConfig, known_calibration
@@ -347,9 +348,8 @@ def _places(read: Sequence[LandmarkLog], options: MapOptions) -> PlacePriors:
 def _finished(mixed: MixedMap, stamps: Mapping[str, np.ndarray], places: PlacePriors) -> MixedMap:
     """With a pose at every one of `stamps` [s], in the frame of the lowest robot's first pose where none is known."""
     ahead = {robot: clock.ahead for robot, clock in mixed.clocks.items()}
-    maps = [at_every_stamp(s.map, stamps, ahead) for s in mixed.components]
-    maps = maps if places else [in_first_frame(m) for m in maps]
-    return replace(mixed, components=tuple(replace(s, map=m) for s, m in zip(mixed.components, maps, strict=True)))
+    whole = [replace(s, map=at_every_stamp(s.map, stamps, ahead)) for s in mixed.components]
+    return replace(mixed, components=tuple(whole if places else map(seen_from_first, whole)))
 
 
 def _configured(options: MapOptions) -> MixedMapConfig:

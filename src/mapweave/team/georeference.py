@@ -14,6 +14,7 @@ from ..core.findings import Finding
 from ..core.fixes import Fixes
 from ..core.landmark_log import LandmarkLog
 from ..core.names import in_order
+from ..core.records import frozen
 from ..landmarks.landmark_map import LandmarkMap
 from ..laser.robot_graph import RobotGraph
 from ..mapping.georeference import (
@@ -252,13 +253,13 @@ def _finished(
         landmarks=LandmarkMap(team.landmarks, mean, landmarks, start.landmarks.frame),
         tracks={**start.tracks, **ours},
     )
-    head = min((r for r in laid.robots if len(laid.tracks[r].t)), key=in_order)
-    T = laid.tracks[head].pose[0]
-    if len(team.landmarks) < 2:
-        frame_cov = there[nodes[head][0]] if head in nodes else there[0]
-    else:
-        frame_cov = covariance_of_body(team, found.solution, team.landmarks, T[:2]) + FLOOR
-    georeference = georeference_of(datum, frame, T, frame_cov, sighted, found, world)
+    first = there[nodes[team.parts[0].robot][0]]
+    frame_cov = (
+        covariance_of_body(team, found.solution, team.landmarks, np.zeros(2))
+        if len(team.landmarks) > 1
+        else _told_at(first, -found.pose[nodes[team.parts[0].robot][0], :2])
+    )
+    georeference = georeference_of(datum, frame, se2.IDENTITY, frame_cov, sighted, found, world)
     parameters = np.concatenate([part.parameters + np.arange(len(PARAMETERS)) for part in team.parts])
     deviations = np.sqrt(found.solution.blocks(parameters[:, None])[:, 0, 0])
     cov = TeamCovariance(landmarks, tuple(poses), tuple(deviations.reshape(len(team.parts), -1)), ())
@@ -266,16 +267,17 @@ def _finished(
     sure: dict[str, np.ndarray] = {}
     for s in parts:
         names = [name for name in s.map.landmarks.ids if name in team.landmarks]
-        first = next((nodes[r][0] for r in s.map.robots if r in nodes), 0)
         body = mean[[name in names for name in team.landmarks]]
-        at = covariance_of_body(team, found.solution, names, body.mean(axis=0)) if len(names) > 1 else there[first]
+        alone = next((there[nodes[r][0]] for r in s.map.robots if r in nodes), first)
+        at = covariance_of_body(team, found.solution, names, body.mean(axis=0)) if len(names) > 1 else alone
         sure |= dict.fromkeys(s.map.robots, at)
+    head = min((r for r in laid.robots if len(laid.tracks[r].t)), key=in_order)
     told = told_of_map(georeference, [[r for r in s.map.robots if r in nodes] for s in parts], head, sure)
     used: dict[str, int] = {"fixes": int(georeference.used.sum())}
     for s in parts:
         used = {name: used.get(name, 0) + s.used.get(name, 0) for name in {**s.used, **used}}
     smoothed = Smoothed(
-        map=in_first_frame(laid),
+        map=laid,
         calibration=calibration_of(team, found.solution, cov),
         inflation=dict(inflation),
         used=used,
@@ -288,4 +290,21 @@ def _finished(
         clocks={r: clock for s in parts for r, clock in s.clocks.items()},
         georeference=georeference,
     )
-    return smoothed, told
+    return seen_from_first(smoothed), told
+
+
+def seen_from_first(s: Smoothed) -> Smoothed:
+    """The component in the frame of the first pose of its lowest robot, and where that lies in the world."""
+    moved, g = in_first_frame(s.map), s.georeference
+    if g is None or moved is s.map:
+        return replace(s, map=moved)
+    at = s.map.tracks[min((r for r, track in s.map.tracks.items() if len(track.t)), key=in_order)].pose[0]
+    T = se2.compose(g.T_world_map, at)
+    cov = _told_at(g.cov, T[:2] - g.T_world_map[:2])
+    return replace(s, map=moved, georeference=replace(g, T_world_map=frozen(T), cov=frozen(cov)))
+
+
+def _told_at(cov: Float[np.ndarray, "3 3"], d: Float[np.ndarray, "2"]) -> Float[np.ndarray, "3 3"]:
+    """The covariance of a body's place and turn, told of its point `d` from where it is told of."""
+    J = np.array([[1.0, 0.0, -d[1]], [0.0, 1.0, d[0]], [0.0, 0.0, 1.0]])
+    return np.asarray(J @ cov @ J.T)
