@@ -39,6 +39,7 @@ def test_walls_and_landmarks_that_share_no_view_are_in_one_map_by_fixes():
     ]
     found = made.map(logs=logs, fixes=of_lasers)
     assert [s.map.robots for s in found.components] == [("robot1", "robot2")]
+    assert [(tie.a, tie.b, tie.by) for tie in found.layout.ties] == [(("robot1",), ("robot2",), "fixes")]
     assert ("placed-by-fixes", "2") in [(f.code, f.robot) for f in found.placed]
     assert np.hypot(*errors(found.components[0].georeference, truth)[0][:, :2].T).max() < 1.5
 

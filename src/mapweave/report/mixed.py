@@ -18,7 +18,7 @@ from .style import colour
 from .team import calibrations, measured, named
 from .woven import told_merge
 
-BY = {"walls": "walls that both saw", "known": "where they are known to be"}
+BY = {"walls": "walls that both saw", "known": "where they are known to be", "fixes": "their position fixes"}
 TIES = "How they were tied"
 
 

@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +40,7 @@ from .relative_frame import (
     Layout,
     MutualSightings,
     PlacingConfig,
+    Tie,
     agreeing_sightings,
     lay_out,
     mutual_sightings,
@@ -243,8 +244,9 @@ def map_mixed(
     else:
         graphs = {robot: _on_time(scan.graph, clocks.get(robot)) for robot, scan in walls.scanned.items()}
         laid = laid_team(components, fixed, labels, smoothing, calibration, graphs, walls.crossings)
-    whole = laid.components if not refine else [_settled(s, held, by, labels, placing, known) for s in laid.components]
-    return MixedMap(tuple(whole), layout, _paths(whole, walls, by), clocks, walls.merges, laid.findings)
+    made = laid.components if not refine else [_settled(s, held, by, labels, placing, known) for s in laid.components]
+    layout = replace(layout, ties=(*layout.ties, *_ties_of_fixes(components, laid.components)))
+    return MixedMap(tuple(made), layout, _paths(made, walls, by), clocks, walls.merges, laid.findings)
 
 
 def _with_fixes(log: LandmarkLog, of_laser: Fixes | None, clock: RobotClock | None) -> LandmarkLog:
@@ -252,6 +254,15 @@ def _with_fixes(log: LandmarkLog, of_laser: Fixes | None, clock: RobotClock | No
     if log.fixes is not None or of_laser is None:
         return log
     return replace(log, fixes=replace(of_laser, t=of_laser.t - (0.0 if clock is None else clock.ahead)))
+
+
+def _ties_of_fixes(before: Sequence[Smoothed], after: Sequence[Smoothed]) -> list[Tie]:
+    """Which components became one."""
+    out = []
+    for whole in after:
+        parts = [s.map.robots for s in before if set(s.map.robots) <= set(whole.map.robots)]
+        out += [Tie(tuple(chain(*parts[:k])), parts[k], 0, 0, by="fixes") for k in range(1, len(parts))]
+    return out
 
 
 def _settled(

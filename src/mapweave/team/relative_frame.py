@@ -420,7 +420,7 @@ def _mutual_sightings(
 class Tie:
     """Two bodies became one. agree of `of` sightings said so; clock: [s] by which b's was found ahead.
 
-    by: what said so: sightings, walls that both saw, or where they are known to be.
+    by: what said so: sightings, walls that both saw, where they are known to be, or position fixes.
     """
 
     a: tuple[str, ...]
@@ -428,7 +428,7 @@ class Tie:
     agree: int
     of: int
     clock: float = 0.0
-    by: Literal["sightings", "walls", "known"] = "sightings"
+    by: Literal["sightings", "walls", "known", "fixes"] = "sightings"
 
 
 @dataclass(frozen=True, slots=True)
