@@ -9,6 +9,7 @@ import pytest
 import mapweave
 from mapweave.api.map_mixed import map_mixed_logs
 from mapweave.api.map_options import MapOptions
+from mapweave.core.landmark_log import NOTHING_SEEN
 from mapweave.io.laser_logs import LaserSource, read_laser
 from mapweave.io.mixed_logs import read_mixed_landmarks, sorted_logs
 from mapweave.team.known import PlacePriors
@@ -42,6 +43,19 @@ def test_walls_and_landmarks_that_share_no_view_are_in_one_map_by_fixes():
     assert [(tie.a, tie.b, tie.by) for tie in found.layout.ties] == [(("robot1",), ("robot2",), "fixes")]
     assert ("placed-by-fixes", "2") in [(f.code, f.robot) for f in found.placed]
     assert np.hypot(*errors(found.components[0].georeference, truth)[0][:, :2].T).max() < 1.5
+
+
+def test_a_robot_that_saw_nothing_is_placed_by_its_wheels_and_its_fixes():
+    made, truth, logs, of_lasers = with_fixes(1)
+    blind = [replace(log, sightings=NOTHING_SEEN, bearings=NOTHING_SEEN) for log in logs]
+    found = made.map(logs=blind, mapped=[], fixes=of_lasers)
+    assert [s.map.robots for s in found.components] == [("robot1", "robot2")]
+    assert found.layout.lost == ()
+    g = found.components[0].georeference
+    e, _ = errors(replace(g, tracks={"robot2": g.tracks["robot2"]}), truth)
+    assert np.sqrt(np.square(e[:, :2]).sum(axis=1).mean()) < 1.0
+    without = made.map(logs=[replace(log, fixes=None) for log in blind], mapped=[], fixes=of_lasers)
+    assert without.layout.lost == ("robot2",)
 
 
 def test_without_the_fixes_of_one_robot_it_stays_apart():

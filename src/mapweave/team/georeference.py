@@ -91,7 +91,7 @@ def laid_team(
     findings = [found for r in told if r in tracks for found in told_of_log(r, told[r], span[r], frame, seen)]
     findings += unused_fixes([by[r] for r in told if r not in tracks], "nothing else tells where it was")
     seen = {r: f.select(_driven(f.t, by[r], gaps.get(r, ()))) for r, f in seen.items()}
-    seen = {r: f for r, f in seen.items() if len(f) >= FEWEST}
+    seen = {r: f for r, f in seen.items() if len(f) >= FEWEST and (len(by[r]) or r in (scans or {}))}
     guesses, out = [], list[Smoothed]()
     for s in components:
         mine = sorted((r for r in s.map.robots if r in seen), key=in_order)
@@ -272,7 +272,7 @@ def _finished(
         at = covariance_of_body(team, found.solution, names, body.mean(axis=0)) if len(names) > 1 else alone
         sure |= dict.fromkeys(s.map.robots, at)
     head = min((r for r in laid.robots if len(laid.tracks[r].t)), key=in_order)
-    told = told_of_map(georeference, [[r for r in s.map.robots if r in nodes] for s in parts], head, sure)
+    told = told_of_map(georeference, [s.map.robots for s in parts], head, sure)
     used: dict[str, int] = {"fixes": int(georeference.used.sum())}
     for s in parts:
         used = {name: used.get(name, 0) + s.used.get(name, 0) for name in {**s.used, **used}}

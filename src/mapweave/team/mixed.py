@@ -42,6 +42,7 @@ from .relative_frame import (
     PlacingConfig,
     Tie,
     agreeing_sightings,
+    carried_by_wheels,
     lay_out,
     mutual_sightings,
     point_seen,
@@ -239,13 +240,18 @@ def map_mixed(
             team = _with_clocks(team, wrong)
         components.append(done)
     fixed = [_with_fixes(log, (fixes or {}).get(log.robot), clocks.get(log.robot)) for log in logs]
+    driven = [_by_wheels(log, by, smoothing) for log in fixed if log.robot in layout.lost and _drove_fixed(log)]
     if known or not refine:
         laid = LaidTeam(tuple(components), unused_fixes(fixed, FRAME_GIVEN if known else NOT_SMOOTHED))
     else:
         graphs = {robot: _on_time(scan.graph, clocks.get(robot)) for robot, scan in walls.scanned.items()}
-        laid = laid_team(components, fixed, labels, smoothing, calibration, graphs, walls.crossings)
+        laid = laid_team([*components, *driven], fixed, labels, smoothing, calibration, graphs, walls.crossings)
+        as_driven = set(map(id, driven))
+        laid = replace(laid, components=tuple(s for s in laid.components if id(s) not in as_driven))
+        placed = {r for s in laid.components for r in s.map.robots}
+        layout = replace(layout, lost=tuple(r for r in layout.lost if r not in placed))
     made = laid.components if not refine else [_settled(s, held, by, labels, placing, known) for s in laid.components]
-    layout = replace(layout, ties=(*layout.ties, *_ties_of_fixes(components, laid.components)))
+    layout = replace(layout, ties=(*layout.ties, *_ties_of_fixes([*components, *driven], laid.components)))
     return MixedMap(tuple(made), layout, _paths(made, walls, by), clocks, walls.merges, laid.findings)
 
 
@@ -254,6 +260,18 @@ def _with_fixes(log: LandmarkLog, of_laser: Fixes | None, clock: RobotClock | No
     if log.fixes is not None or of_laser is None:
         return log
     return replace(log, fixes=replace(of_laser, t=of_laser.t - (0.0 if clock is None else clock.ahead)))
+
+
+def _drove_fixed(log: LandmarkLog) -> bool:
+    """Whether its wheels and its fixes may tell where the robot was, whatever it saw."""
+    return log.odometry is not None and log.fixes is not None
+
+
+def _by_wheels(log: LandmarkLog, logs: Mapping[str, LandmarkLog], smoothing: SmoothingConfig) -> Smoothed:
+    """The robot alone, as its wheels carried it."""
+    nothing = LandmarkMap((), np.zeros((0, 2)), np.zeros((0, 0)))
+    track = carried_by_wheels(log, logs, smoothing)
+    return smooth(TeamMap((log.robot,), nothing, {log.robot: track}), [], {}, smoothing)
 
 
 def _ties_of_fixes(before: Sequence[Smoothed], after: Sequence[Smoothed]) -> list[Tie]:
