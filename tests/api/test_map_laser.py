@@ -2,6 +2,7 @@
 
 import json
 import sys
+import warnings
 from dataclasses import replace
 from types import ModuleType
 
@@ -252,3 +253,11 @@ def test_robots_that_were_mapped_before_the_run_broke_off_are_not_mapped_again(l
     assert mapped == ["1", "2"]
     assert again.maps[1].track.pose.tobytes() == map_logs([log, log], **more).maps[1].track.pose.tobytes()
     assert mapped == ["1", "2"] * 2
+
+
+def test_a_log_of_one_scan_is_drawn_without_a_warning(tmp_path):
+    log = tmp_path / "one.clf"
+    log.write_text(f"FLASER 180 {' '.join(['2.5'] * 180)} 0 0 0 0 0 0 12.5 host 12.5\n")
+    with warnings.catch_warnings(action="error"):
+        made = map_logs([log], out=tmp_path / "out")
+    assert "few-scans" in {f.code for f in made.findings}

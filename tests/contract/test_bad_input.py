@@ -209,6 +209,23 @@ def test_evaluating_what_is_no_result_or_against_nothing_is_refused(recording, t
     assert "s.csv:3" in refused(tmp_path, "evaluate", tmp_path / "a", "--truth", tmp_path / "s.csv")
 
 
+@pytest.mark.parametrize(
+    ("name", "text", "said", "code"),
+    [
+        ("s.csv", "id,x,y\n6,1.0,2.0\n7,one,2.0\n", "s.csv:3", 1),
+        ("robot1.tum", "0 1 2 3\n", "robot1.tum:1", 1),
+        ("t.relations", "1 2 3\n", "t.relations:1", 1),
+        ("truth.clf", "ODOM 1 2 3\n", "truth.clf: no kind of truth", 2),
+    ],
+)
+def test_truth_that_cannot_be_read_is_refused_before_the_log_costs_any_time(tmp_path, name, text, said, code):
+    (tmp_path / name).write_text(text)
+    (tmp_path / "log.clf").write_text("no log at all\n")
+    assert said in refused(
+        tmp_path, "map", tmp_path / "log.clf", "--out", tmp_path / "out", "--truth", tmp_path / name, code=code
+    )
+
+
 @pytest.mark.slow
 def test_a_score_is_added_to_the_report_and_takes_the_place_of_an_earlier_one(recording, tmp_path):
     out = tmp_path / "out"

@@ -188,6 +188,12 @@ def test_no_refine_is_accepted(world):
     assert run("map", world / "team", "--out", world / "n", "--robots", "1", "--no-refine")[0] == 0
 
 
+def test_a_robot_named_twice_is_one(world):
+    code, _, err = run("map", world / "team", "--out", world / "twice", "--robots", "1,1", "--no-refine")
+    assert (code, err) == (0, "")
+    assert set(json.loads((world / "twice" / "metrics.json").read_text())["robots"]) == {"1"}
+
+
 def test_view_tells_where_the_report_is_when_there_is_no_display(world, monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)

@@ -329,8 +329,11 @@ class TeamEvaluation(EvaluationBase):
 
 def is_of_team(directory: Path, truth: Path) -> bool:
     """Folders, zip files, TUM files and `id,x,y` tables, for results with landmarks or trajectories."""
-    known = truth.is_dir() or truth.suffix.lower() in (".zip", ".tum", ".txt", ".csv") or is_pyfg(truth)
-    return known and ((directory / "landmarks.csv").exists() or (directory / "trajectories").is_dir())
+    return _tells_of_team(truth) and ((directory / "landmarks.csv").exists() or (directory / "trajectories").is_dir())
+
+
+def _tells_of_team(truth: Path) -> bool:
+    return truth.is_dir() or truth.suffix.lower() in (".zip", ".tum", ".txt", ".csv") or is_pyfg(truth)
 
 
 def judge_team(directory: Path, truth: Sequence[Path]) -> TeamEvaluation:
@@ -517,6 +520,16 @@ def judged(folder: Path, truth: Sequence[Path]) -> Evaluation:
         if applies(folder, truth[0]):
             return judge(folder, truth)
     raise UsageError(f"{truth[0]}: no kind of truth that is known for {folder}; {RULE}")
+
+
+def expect_truth(paths: Sequence[Path]) -> None:
+    """Raises what the score of a map would for truth that cannot be read: before the work, which it would cost."""
+    if is_relations(paths[0]):
+        read_relations(paths[0])
+    elif _tells_of_team(paths[0]):
+        read_team_truth(paths, ())
+    else:
+        raise UsageError(f"{paths[0]}: no kind of truth that is known; {RULE}")
 
 
 JUDGES: tuple[tuple[Callable[[Path, Path], bool], Callable[[Path, Sequence[Path]], Evaluation]], ...] = (

@@ -18,9 +18,11 @@ from ..io.laser_state import holds_state, laser_homes, read_laser_states
 from ..io.local_map import read_local_map
 from ..landmarks.landmark_map import LocalMap
 from ..laser.laser_map import LaserMap
+from .evaluate import expect_truth
 from .in_memory import Truths, decisions_of_argument, result_folders, truth_files
 from .laser_result import DecisionsGiven, LaserResult, same_logs, woven_result
 from .map_laser import LaserMapConfig
+from .map_options import expect_there
 from .team import TeamResult, Watch, team_result
 
 
@@ -151,6 +153,9 @@ def fuse(
         for folder in given:
             if not folder.is_dir():
                 raise ReaderError(folder, "no such folder")
+        if scores:
+            expect_there(scores)
+            expect_truth(scores)
         result: TeamResult | LaserResult
         if are_laser_results(given):
             idle = {"--weights": weights, "--identities": identities}

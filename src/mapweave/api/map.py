@@ -251,7 +251,7 @@ def map(  # noqa: A001  (the verb)
     (7, 2)
     """
     options = MapOptions(
-        robots=None if robots is None else tuple(key_of(robot) for robot in robots),
+        robots=None if robots is None else tuple(dict.fromkeys(key_of(robot) for robot in robots)),
         method=method,
         weights=weights,
         share={key_of(robot): part for robot, part in (share or {}).items()},
@@ -277,6 +277,10 @@ def map(  # noqa: A001  (the verb)
         with truth_files(truth) as true:
             options = replace(options, truth=true)
             options.check()
+            if true:
+                from .evaluate import expect_truth  # noqa: PLC0415  (only who has truth waits for it)
+
+                expect_truth(true)
             if out is not None:
                 check_target(Path(out), force=force, reads=(*several, *true, options.config, options.survey))
             elif mcap:

@@ -96,7 +96,8 @@ def draw_scans(path: Path, local_map: LaserMap) -> None:
                 )
         share.set_ylim(-3, 103)
         share.set_ylabel("returns matched [%]")
-        share.legend(loc="lower left", ncols=4, **READABLE)
+        if share.lines:
+            share.legend(loc="lower left", ncols=4, **READABLE)
         if weighed:
             _draw_n_eff(axes[3], t, local_map)
         axes[-1].set_xlabel("time [s]")
