@@ -51,6 +51,25 @@ def test_a_word_in_a_line_is_named_with_file_and_line(team, tmp_path):
     assert "'fast'" in err
 
 
+@pytest.mark.parametrize(("unit", "of"), [("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)])
+def test_stamps_in_another_unit_are_named(team, tmp_path, unit, of):
+    def counted(lines):
+        rows = [row.split() for row in lines]
+        return [
+            line if row[0] == "#" else "\t".join([f"{float(row[0]) * of:.0f}", *row[1:]])
+            for line, row in zip(lines, rows, strict=True)
+        ]
+
+    for path in team.glob("Robot*_[OM]*.dat"):
+        edited(path, counted)
+    err = refused(tmp_path, "map", team, "--out", tmp_path / "out")
+    assert f"Robot1_Odometry.dat: stamps are in {unit}" in err
+    log = tmp_path / "in" / "log.clf"
+    log.write_text("".join(f"FLASER 3 2 2 2 0 0 0 0 0 0 {(1.7e9 + k) * of:.0f} host 0\n" for k in range(9)))
+    err = refused(tmp_path, "map", log, "--out", tmp_path / "out")
+    assert ("log.clf: stamps are in milliseconds" if of == 1e3 else "scan with a stamp, pose or angle that none") in err
+
+
 def test_a_truncated_zip_is_refused(team, tmp_path):
     whole = shutil.make_archive(str(tmp_path / "in" / "cut"), "zip", team.parent, "team")
     Path(whole).write_bytes(Path(whole).read_bytes()[:2000])

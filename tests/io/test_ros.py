@@ -5,7 +5,7 @@ import gzip
 import numpy as np
 import pytest
 
-from mapweave.core.errors import ReaderError
+from mapweave.core.errors import DataError, ReaderError
 from mapweave.io.laser_logs import LaserSource, is_laser_log, read_laser, robots_of
 
 from .ros_logs import N, Recording, usual, wall
@@ -247,6 +247,23 @@ def test_a_recording_whose_only_scan_has_no_return_is_read_and_says_so(tmp_path)
     out.scan(1.0, np.zeros(5))
     log = read_laser(out.write())
     assert "scans-blind" in {f.code for f in log.findings}
+
+
+@pytest.mark.parametrize(("beams", "told"), [(2, True), (9, True), (10, False)])
+def test_scans_that_all_have_too_few_returns_to_be_matched_are_told(tmp_path, beams, told):
+    out = Recording(tmp_path / "a.mcap")
+    for k in range(20):
+        out.scan(1.0 + k, np.full(beams, 2.0) if k else np.zeros(beams))
+    found = {f.code: f.text for f in read_laser(out.write()).findings}
+    assert ("scans-sparse" in found) == told
+    assert found.get("scans-sparse", "no scan of 20 has 10 returns") == "no scan of 20 has 10 returns"
+
+
+def test_where_no_scan_can_be_used_the_reason_is_told(tmp_path):
+    out = Recording(tmp_path / "a.mcap")
+    out.scan(1.0, np.full(400, 2.0), angles=(-90.0, 90.0))  # degrees
+    with pytest.raises(DataError, match="no laser scan in it can be used; left out, 1 times: scan with a stamp, pose"):
+        read_laser(out.write())
 
 
 def lit(tmp_path, light_of, scans=40):

@@ -408,6 +408,12 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "There is nothing to map: ranges are in another unit, or the scanner's limits in the log are wrong.",
             "Look at the ranges and their limits in the log.",
         ),
+        "scans-sparse": FindingKind(
+            "doubtful",
+            "no scan of {value:.0f} has {least:.0f} returns",
+            "That is too little to match: the scanner has few beams, or sees little. Poses are the wheels' alone.",
+            "Look at the ranges and their limits in the log, or record more beams.",
+        ),
         "ranges-nan": FindingKind(
             "note",
             "{value:.0f} ranges are not a number: read as no return",

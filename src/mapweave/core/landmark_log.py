@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from .errors import DataError, ReaderError
 from .findings import Finding, Unused, Value
 from .fixes import Fixes
-from .records import Event, LandmarkPacket, Odometry, frozen
+from .records import Event, LandmarkPacket, Odometry, expect_seconds, frozen
 
 
 @dataclass(frozen=True, slots=True)
@@ -275,6 +275,7 @@ def _ascending(table: np.ndarray, label: str, what: str, mending: Mending) -> np
     if not len(table):
         return table
     t = table[:, 0]
+    expect_seconds(t, label)
     late = int((t < np.maximum.accumulate(t)).sum())
     if late:
         mending.find("stamps-back", {"what": what, "value": late}, "sorted by stamp")

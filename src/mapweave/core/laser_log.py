@@ -11,6 +11,8 @@ from .findings import Finding, Unused
 from .fixes import Fixes
 from .records import Event, OdometryPoses, Scan, Track, frozen
 
+LEAST_RETURNS = 10  # of a scan; nobody matches one that has fewer
+
 
 class ScanDigest:
     """A digest of stamps and ranges of scans as they come. `add` changes it; told: of those so far."""

@@ -9,7 +9,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from .errors import ReaderError
 from .se2 import IDENTITY
+
+# least stamp since 1970 that is one in this unit: as seconds, they are of the year 5138 and later
+SMALLER_UNITS = {"milliseconds": 1e11, "microseconds": 1e14, "nanoseconds": 1e17}
 
 
 def frozen(values: Any, dtype: Any = np.float64) -> np.ndarray:
@@ -19,6 +23,14 @@ def frozen(values: Any, dtype: Any = np.float64) -> np.ndarray:
         a = a.copy() if a is values or a.base is not None else a
         a.setflags(write=False)
     return a
+
+
+def expect_seconds(t: Float[np.ndarray, " n"], where: object) -> None:
+    """Raises ReaderError naming `where` and the unit when stamps count in a smaller one."""
+    size = float(np.median(np.abs(t))) if len(t) else 0.0
+    units = [name for name, least in SMALLER_UNITS.items() if size >= least]
+    if units:
+        raise ReaderError(where, f"stamps are in {units[-1]} (half of them exceed {size:.3g}): expected seconds")
 
 
 def owned(a: np.ndarray) -> np.ndarray:

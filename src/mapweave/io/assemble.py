@@ -16,12 +16,12 @@ from ..core import se2
 from ..core.errors import DataError
 from ..core.findings import Finding, Unused, Value
 from ..core.fixes import Fixes
-from ..core.laser_log import LaserLog
-from ..core.records import Scan, Track, frozen
+from ..core.laser_log import LEAST_RETURNS, LaserLog
+from ..core.records import Scan, Track, expect_seconds, frozen
 from .inertial import IMU, Inertial, with_turns
 from .range_unit import unit_of_ranges
 from .scan_checks import range_difference, scan_agreement, without_false_returns
-from .stamps import Mended, mended_stamps, rows_by_scanner
+from .stamps import ENOUGH, Mended, mended_stamps, rows_by_scanner
 
 PAIRS = 400  # scan pairs looked at, at most
 VOTES = 10  # pairs that must speak before anything is said
@@ -124,12 +124,14 @@ class RawLog:
         used: the scans went into a map already, as they are: false returns are told, not left out. Raises DataError
         when there is no scan at all.
         """
+        expect_seconds(np.array([raw.t for raw in self.scans if np.isfinite(raw.t)]), self.source)
         good = [raw for raw in self.scans if is_sound(raw)]
         if len(good) < len(self.scans):
             self.dropped[UNSOUND] += len(self.scans) - len(good)
             self.scans = good
         if not self.scans:
-            raise DataError(f"{self.source}: no laser scan in it")
+            why = "".join(f"; left out, {n} times: {what}" for what, n in self.dropped.items())
+            raise DataError(f"{self.source}: no laser scan in it{why and ' can be used'}{why}")
         self._mend_stamps()
         if not self.odometry:
             self.odometry = [odometry_row(raw.t, raw.odometry) for raw in self.scans if raw.odometry is not None]
@@ -300,11 +302,14 @@ class RawLog:
         if len(counts) > 1:
             listing = ", ".join(f"{n} beams in {k} scans" for n, k in counts.most_common())
             self.find("beams-change", listing)
-        empty = sum(not _hit(raw).any() for raw in scans)
+        returns = [int(_hit(raw).sum()) for raw in scans]
+        empty = returns.count(0)
         if empty == every:
             self.find("scans-blind", every)
         elif empty:
             self.find("scans-empty", {"value": empty, "all": every}, "odometry carries over them")
+        if every > empty and every >= ENOUGH and max(returns) < LEAST_RETURNS:
+            self.find("scans-sparse", {"value": every, "least": LEAST_RETURNS})
         if nan := sum(int(np.isnan(raw.ranges).sum()) for raw in scans):
             self.find("ranges-nan", nan)
 

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from ..core.config import config
 from ..core.errors import ConfigError
 from ..core.findings import Finding
+from ..core.laser_log import LEAST_RETURNS
 from .beam import FEATURES, STEERING, BeamConfig, IntensityCalibration
 from .icp import IcpConfig
 from .moving import MovingConfig
@@ -16,7 +17,7 @@ from .odometry_calibration import OdometryCalibrationConfig
 from .particle_grid import CellConfig
 from .scan_matching import BARE_TANGENT, FrontEndConfig
 
-FILTER_LEAST_BEAMS = 10  # scans with fewer returns change no weights
+FILTER_LEAST_BEAMS = LEAST_RETURNS  # scans with fewer returns change no weights
 
 REFINE_NEFF = 60.0  # independent returns in a scan, for refining
 REFINE_SIGMA = 0.02  # [m] sd of each return, for refining

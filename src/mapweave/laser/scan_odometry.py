@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..core import se2
+from ..core.laser_log import LEAST_RETURNS
 from ..core.plugins import Matcher, plugged_in
 from ..core.records import Scan
 from ..core.rows import RowBuffer
@@ -30,7 +31,7 @@ from .scan_matching import (
 )
 from .wheel_worth import WheelWorth
 
-FRONT_END_LEAST_BEAMS = 10  # scans with fewer returns are not matched
+FRONT_END_LEAST_BEAMS = LEAST_RETURNS  # scans with fewer returns are not matched
 
 ALONE_SD = np.array([0.25, 0.25, ALONE_TURN])  # [m, m, rad] of a step of a robot without odometry
 GYRO_TURN = 0.02  # [rad] by which the turn of a gyroscope may err in a step, one sigma
