@@ -255,9 +255,19 @@ def test_robots_that_were_mapped_before_the_run_broke_off_are_not_mapped_again(l
     assert mapped == ["1", "2"] * 2
 
 
-def test_a_log_of_one_scan_is_drawn_without_a_warning(tmp_path):
+@pytest.fixture
+def one_scan(tmp_path):
     log = tmp_path / "one.clf"
     log.write_text(f"FLASER 180 {' '.join(['2.5'] * 180)} 0 0 0 0 0 0 12.5 host 12.5\n")
+    return log
+
+
+def test_a_log_of_one_scan_is_drawn_without_a_warning(one_scan, tmp_path):
     with warnings.catch_warnings(action="error"):
-        made = map_logs([log], out=tmp_path / "out")
+        made = map_logs([one_scan], out=tmp_path / "out")
     assert "few-scans" in {f.code for f in made.findings}
+
+
+def test_an_option_for_recordings_is_told_to_be_idle_where_the_log_is_text(one_scan):
+    made = map_logs([one_scan], laser=LaserOptions(scan_topic="/scan", fixes="none"))
+    assert [f.value["option"] for f in made.findings if f.code == "option-idle"] == ["--scan-topic", "--fixes"]

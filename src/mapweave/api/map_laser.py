@@ -17,7 +17,7 @@ from ..core.laser_log import LaserLog
 from ..core.names import robot_name
 from ..core.workers import Progress, no_progress, worker_pool
 from ..io.kept import part, parts
-from ..io.laser_logs import LaserSource, is_laser_log, read_laser, robots_of
+from ..io.laser_logs import LaserSource, is_bag, is_laser_log, read_laser, robots_of
 from ..io.laser_state import LaserState, read_laser_states
 from ..io.ros_map import YAML_SUFFIXES, read_ros_map
 from ..laser.laser_map import LaserMap
@@ -28,6 +28,8 @@ from .laser_result import LaserResult, laser_metrics, scored, woven_result
 from .map_options import LaserOptions, MapOptions
 
 Job = tuple[Path | LaserLog, str, LaserSource, LaserConfig, int, float]
+
+OF_RECORDINGS = ("--scan-topic", "--odom-topic", "--fixes", "--height")  # options that no text log has a use for
 
 
 @config
@@ -52,7 +54,8 @@ def map_logs(logs: Sequence[Path | LaserLog], options: MapOptions) -> LaserResul
     cfg = _configured(options)
     held = _robots(logs, options, [])
     jobs = [(log, key, source, cfg, options.seed, options.share.get(key, 1.0)) for key, (log, source) in held.items()]
-    maps = tuple(_with_idle_options(local_map, options) for local_map in _mapped(jobs, options))
+    idle = _of_recordings(logs, options)
+    maps = tuple(_with_idle_options(local_map, options, idle) for local_map in _mapped(jobs, options))
     if cfg.method != "graph":
         return scored(LaserResult(maps, laser_metrics(maps, options.seed)), options.truth)
     return _woven(maps, cfg, options, options.starts(), ())
@@ -76,7 +79,8 @@ def _going_on(before: Path, logs: Sequence[Path | LaserLog], options: MapOptions
         for log, robot, source in zip(read, resumption.robots, sources, strict=True)
     ]
     made = _mapped(jobs, options, state.maps)
-    maps = resumption.maps([_with_idle_options(local_map, options) for local_map in made])
+    idle = _of_recordings(logs, options)
+    maps = resumption.maps([_with_idle_options(local_map, options, idle) for local_map in made])
     return _woven(maps, cfg, options, {**state.starts, **options.starts()}, resumption.notes)
 
 
@@ -227,8 +231,15 @@ def _with_threads(job: Job, threads: int) -> Job:
     return path, robot, source, replace(cfg, threads=cfg.threads or threads), seed, share
 
 
-def _with_idle_options(local_map: LaserMap, options: MapOptions) -> LaserMap:
-    """With a word about options that mean nothing to this method."""
+def _of_recordings(logs: Sequence[Path | LaserLog], options: MapOptions) -> list[str]:
+    """The options that were given for recordings alone, where no log is one."""
+    if any(not isinstance(log, Path) or is_bag(log) for log in logs):
+        return []
+    return [name for name in options.laser.given() if name in OF_RECORDINGS]
+
+
+def _with_idle_options(local_map: LaserMap, options: MapOptions, of_recordings: Sequence[str]) -> LaserMap:
+    """With a word about options that mean nothing to this method, or to this kind of log."""
     alone = "each laser log is mapped on its own"
     woven = "laser maps are woven by their graphs"
     asked: list[tuple[str, object]] = [
@@ -246,7 +257,8 @@ def _with_idle_options(local_map: LaserMap, options: MapOptions) -> LaserMap:
         ]
     idle = [name for name, given in asked if given]
     why = woven if local_map.method == "graph" else alone
-    more = tuple(Finding("option-idle", local_map.robot, value={"option": name, "value": why}) for name in idle)
+    whys = {**dict.fromkeys(idle, why), **dict.fromkeys(of_recordings, "the log is no recording of ROS")}
+    more = tuple(Finding("option-idle", local_map.robot, value={"option": n, "value": w}) for n, w in whys.items())
     if local_map.method != "graph" and local_map.fixes is not None:
         told = Finding("fixes-unused", local_map.robot, value="the graph method alone lays maps by them")
         more = (*more, told)
