@@ -143,7 +143,7 @@ def test_only_a_gated_trajectory_whose_match_was_refused_is_not_refined(monkeypa
     state = init("r", cfg, rng, gated=gated)
     assert len(state.poses) == (1 if gated else 6)
     advance = state.odometry.advance
-    monkeypatch.setattr(state.odometry, "advance", lambda scan, b: replace(advance(scan, b), decision=decision))
+    monkeypatch.setattr(state.odometry, "advance", lambda *of, **how: replace(advance(*of, **how), decision=decision))
     monkeypatch.setattr(particle_slam, "_refined", lambda s, *_: refined.append(1) or (s.poses, None))
     for k, x in enumerate((0.0, 1.0, 2.0)):
         state, _ = step(state, Event(float(k), "r", scan_at(np.array([x, 0.1, 0.05]))), cfg, rng)

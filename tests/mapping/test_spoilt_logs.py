@@ -15,6 +15,7 @@ from mapweave.laser.scan_odometry import blended
 from mapweave.mapping.keyframe_graph import KeyframeGraph, KeyframeGraphConfig
 from mapweave.mapping.places import PlaceMatch
 from mapweave.mapping.segments import GAP, border_covariance
+from mapweave.sim.laser_worlds import OfficeConfig, simulate_office
 
 from ..laser.team_logs import office
 
@@ -23,6 +24,12 @@ from ..laser.team_logs import office
 def whole():
     log, _ = office(5)
     return log, mapweave.map([log])
+
+
+def lit_office(seed, **how):
+    """A drive through a small office whose light tells places apart."""
+    made = simulate_office(OfficeConfig(**{"rooms": 3, "visited": 4, **how}), seed)
+    return made.log, made.truth
 
 
 def places(result, t):
@@ -66,6 +73,15 @@ def test_a_log_whose_odometry_jumps_or_begins_anew_is_mapped_as_if_it_had_not(wh
     spoilt = mapweave.map([changed(log, first, change)])
     assert off(spoilt, log.scan_t, places(known, log.scan_t)) < 0.1
     assert spoilt.verdict == known.verdict == "good"
+    assert "wheels-set" in {f.code for f in spoilt.findings}
+
+
+@pytest.mark.slow
+def test_where_light_tells_places_apart_odometry_that_jumps_is_no_motion_either():
+    log, truth = lit_office(5, rooms=2, visited=2)
+    spoilt = mapweave.map([changed(log, len(log.scans) // 2, lambda p: np.asarray(p) + np.array([25.0, 0.0, 0.0]))])
+    assert off(spoilt, log.scan_t, truth.pose[np.abs(truth.t[:, None] - log.scan_t[None]).argmin(axis=0)]) < 0.15
+    assert spoilt.verdict == "good"
     assert "wheels-set" in {f.code for f in spoilt.findings}
 
 
@@ -136,9 +152,12 @@ def carried(log, share):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("seed", "share"), [(3, (0.45, 0.7)), (3, (0.2, 0.5)), (11, (0.45, 0.7))])
-def test_a_robot_that_is_carried_among_rooms_that_look_alike_is_found_by_what_it_saw_through(seed, share):
-    log, truth = office(seed)  # five to ten times as many places are found at false rooms as at the right one
+@pytest.mark.parametrize(
+    ("seed", "share", "drive"),
+    [(3, (0.45, 0.7), office), (3, (0.2, 0.5), office), (11, (0.45, 0.7), office), (11, (0.45, 0.7), lit_office)],
+)
+def test_a_robot_that_is_carried_among_rooms_that_look_alike_is_found_by_what_it_saw_through(seed, share, drive):
+    log, truth = drive(seed)  # five to ten times as many places are found at false rooms as at the right one
     spoilt, t = carried(log, share)
     true = truth.pose[np.abs(truth.t[:, None] - t[None]).argmin(axis=0)]
     made = mapweave.map([spoilt])

@@ -74,13 +74,16 @@ def init(
 
 
 def step(
-    state: ParticleState, event: Event, cfg: LaserTrackingConfig, rng: np.random.Generator
+    state: ParticleState, event: Event, cfg: LaserTrackingConfig, rng: np.random.Generator, *, leapt: bool = False
 ) -> tuple[ParticleState, ScanInfo | None]:
-    """Scans move the estimate; odometry packets do not (a scan brings its own odometry) and give no info."""
+    """Scans move the estimate; odometry packets do not (a scan brings its own odometry) and give no info.
+
+    leapt: the scan's odometry was set anew, tells nothing.
+    """
     if not isinstance(event.record, Scan):
         return state, None
     b = beams(event.record, state.feature, state.calibration, cfg.beam)
-    info = state.odometry.advance(event.record, b)
+    info = state.odometry.advance(event.record, b, leapt=leapt)
     row = len(state.odometry.poses) - 1
     if info.decision in {"first", "empty"} and state.history:
         return state, info

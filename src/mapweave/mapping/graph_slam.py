@@ -42,15 +42,27 @@ GONE = Beams(np.zeros((0, 2)), _NONE, _NONE, np.zeros((0, 2)), _NONE, _NONE, _NO
 """The returns of a scan that nothing needs."""
 
 
+class SegmentBorder(NamedTuple):
+    """What parts a scan from the one before it.
+
+    why: as `Borders` tells, empty: nothing; weak: covariance that the step over it has besides; off: over a gap, how
+    far from where wheels put the scan it was matched: a match there may be any, and what they tell is what is known.
+    """
+
+    why: str
+    weak: Float[np.ndarray, "3 3"] | None
+    off: Float[np.ndarray, "3"] | None
+
+
 @dataclass(slots=True)
 class GraphState:
     """One robot's graph as it grows; `step` changes it.
 
     odometry: scan odometry, or particles: the filter that finds the trajectory where light tells places apart; graph:
     the keyframes so far (of particles: none before the best lineage is known); known: what left it. Of every scan:
-    stamps t, scans their returns (`GONE` where the map does without them), sensors where the scanner stood, lines what
-    walls tell of its pose; keyframes, revisits: which scan each is; unneeded: the scans whose returns went in the last
-    step, all of them before scan `gone`.
+    stamps t, scans their returns (`GONE` where the map does without them), sensors where the scanner stood; and of
+    particles lines what walls tell of its pose, cuts what parts it from the one before. keyframes, revisits: which scan
+    each is; unneeded: the scans whose returns went in the last step, all of them before scan `gone`.
     """
 
     robot: str
@@ -66,6 +78,7 @@ class GraphState:
     scans: list[Beams] = field(default_factory=list)
     sensors: list[np.ndarray] = field(default_factory=list)
     lines: list[np.ndarray] = field(default_factory=list)
+    cuts: list[SegmentBorder] = field(default_factory=list)
     keyframes: list[int] = field(default_factory=list)
     revisits: list[int] = field(default_factory=list)
     unneeded: range = range(0)
@@ -120,23 +133,38 @@ def step(
     mounted = np.array(scan.T_robot_sensor[:2], float)
     same = bool(state.sensors) and state.sensors[-1].tobytes() == mounted.tobytes()
     state.sensors.append(state.sensors[-1] if same else mounted)
-    if state.particles is not None:
-        state.particles, info = particle_slam.step(state.particles, event, _filtering(cfg), rng)
-        state.lines.append(state.particles.odometry.lines)
-        return state, info
     leapt = state.borders.leapt(event.t, scan.odometry)
+    if state.particles is not None:
+        state.particles, info = particle_slam.step(state.particles, event, _filtering(cfg), rng, leapt=leapt)
+        assert info is not None  # noqa: S101  (of a scan)
+        matched = replace(info, decision="matched") if info.decision == "skipped" else info
+        state.lines.append(state.particles.odometry.lines)
+        state.cuts.append(_cut(state.borders, event.t, scan, matched, state.particles.odometry.step, leapt=leapt))
+        return state, info
     info = state.odometry.advance(scan, b, leapt=leapt)
-    wheels = scan.odometry is not None and not leapt
-    border = state.borders.seen(event.t, info, state.odometry.step, wheels=wheels)
-    wheeled = GAP if border == GAP and scan.odometry is not None else ""
-    weak = border_covariance(state.odometry.step, wheeled) if border else None
-    keyframe = state.odometry.keyframe(event.t, b, border, weak)
-    if keyframe is not None and wheeled:  # after a gap a match may be any: what wheels tell is what is known
-        keyframe = keyframe._replace(step=np.asarray(se2.compose(keyframe.step, se2.inverse(info.innovation))))
-    state.unneeded = _grow(state, cfg, len(state.scans) - 1, keyframe)
+    cut = _cut(state.borders, event.t, scan, info, state.odometry.step, leapt=leapt)
+    state.unneeded = _grow(state, cfg, len(state.scans) - 1, _keyframe(state.odometry.maker, event.t, b, cut))
     for row in state.unneeded:
         state.scans[row] = GONE
     return state, info
+
+
+def _cut(
+    borders: Borders, t: float, scan: Scan, info: ScanInfo, step: Float[np.ndarray, "3"], *, leapt: bool
+) -> SegmentBorder:
+    """What parts the scan at `t` [s] from the one before it; `step` is what scan odometry has between the two."""
+    why = borders.seen(t, info, step, wheels=scan.odometry is not None and not leapt)
+    wheeled = why == GAP and scan.odometry is not None
+    weak = border_covariance(step, GAP if wheeled else "") if why else None
+    return SegmentBorder(why, weak, info.innovation if wheeled else None)
+
+
+def _keyframe(maker: KeyframeMaker, t: float, b: Beams, cut: SegmentBorder) -> Keyframe | None:
+    """The keyframe at the maker's latest pose, if there is one."""
+    keyframe = maker.keyframe(t, b, cut.why, cut.weak)
+    if keyframe is None or cut.off is None:
+        return keyframe
+    return keyframe._replace(step=np.asarray(se2.compose(keyframe.step, se2.inverse(cut.off))))
 
 
 def current(state: GraphState) -> PoseEstimate:
@@ -260,7 +288,7 @@ def _along_lineage(
     for row, pose in enumerate(poses):
         maker.advance(pose, se2.between(before, pose), state.lines[row])
         before = pose
-        _grow(grown, cfg, row, maker.keyframe(float(state.t[row]), state.scans[row]))
+        _grow(grown, cfg, row, _keyframe(maker, float(state.t[row]), state.scans[row], state.cuts[row]))
         on_progress("loops", row + 1, len(poses))
     return poses, grown
 
