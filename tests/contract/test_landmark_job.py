@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mapweave.api.result import load
+
 from .terminal import run
 
 pytestmark = pytest.mark.drawn
@@ -186,6 +188,15 @@ def test_the_same_log_twice_counts_once(world):
 
 def test_no_refine_is_accepted(world):
     assert run("map", world / "team", "--out", world / "n", "--robots", "1", "--no-refine")[0] == 0
+
+
+def test_smoothed_while_the_logs_play_the_result_is_written_and_read_back(world):
+    code, _, err = run("map", world / "team", "--out", world / "live", "--online")
+    assert (code, err) == (0, "")
+    metrics = json.loads((world / "live" / "metrics.json").read_text())
+    assert metrics["online_smoothing"]["steps"] > 0
+    assert "smoothed-late" not in {f["code"] for f in metrics["findings"]}
+    assert load(world / "live").run.members
 
 
 def test_a_robot_named_twice_is_one(world):

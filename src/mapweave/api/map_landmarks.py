@@ -100,6 +100,7 @@ def smooth_online(
     return OnlineRun(
         team, cfg.step, np.array(seconds), np.array(lag), np.array(linearised, float), renewed, tuple(laid_out),
         len(team.stretches), tuple(growth), waited=tuple(log.robot for log in logs if log.odometry is None),
+        members=tuple(team.members),
     )  # fmt: skip
 
 
@@ -286,6 +287,7 @@ def _map_read(
         maps = tuple(in_first_frame(m) for m in maps)
         smoothed = tuple(map(seen_from_first, smoothed))
     watch.lap("smooth")
+    run = None if run is None else replace(run, team=None)
     result = team_result(title, options.seed, local, fusion, options.truth, online, watch, maps, smoothed, run)
     return replace(result, unused=tuple(unused_by_all((log.source, log.unused) for log in logs)))
 

@@ -476,7 +476,7 @@ class OnlineRun:
     older ones that had moved; laid_out: [s] after the first row at which robots or landmarks came in; stretches: how
     many there are, none of them given up; closing: [s] for what was left to do when the logs ended; landmarks_moved,
     ways_moved: [m] root mean square by which that changed them; growth: intermediate maps; waited: robots without
-    wheels, whose rows came in when the logs ended.
+    wheels, whose rows came in when the logs ended; members: those that were smoothed before. A result holds no `team`.
     """
 
     team: OnlineTeam | None
@@ -492,11 +492,12 @@ class OnlineRun:
     landmarks_moved: float | None = None
     ways_moved: float | None = None
     waited: tuple[str, ...] = ()
+    members: tuple[str, ...] = ()
 
     @property
     def findings(self) -> tuple[Finding, ...]:
         """A finding where nothing, or not every robot, could be smoothed before the end."""
-        if self.team is not None and self.team.members:
+        if self.members:
             robots = ", ".join(map(robot_key, self.waited))
             why = f"no wheels: smoothed when the logs ended: robot {robots}"
             return (Finding("smoothed-late", value=why),) if robots else ()
