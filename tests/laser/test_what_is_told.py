@@ -170,3 +170,14 @@ def test_a_robot_that_never_moves_is_mapped_and_it_is_told(office):
     assert [f.code for f in made.findings if f.code != "light-unused"] == ["robot-still"]
     assert made.verdict == made.metrics["verdict"] == "good"
     assert np.abs(made.maps[0].track.pose).max() < 0.02
+
+
+def test_wide_turns_that_nothing_but_scans_tells_are_told_and_those_of_a_gyroscope_are_not(office):
+    bare = replace(office, odometry=None, scans=tuple(replace(scan, odometry=None) for scan in office.scans))
+    told = {f.code: f for f in map_laser(bare, CFG, 0).findings}
+    assert told["turns-alone"].value["times"] >= 10
+    assert 35.0 < told["turns-alone"].value["most"] < 180.0
+    assert verdict(told.values()) == "doubtful"
+    heading = np.interp(office.scan_t, office.odometry.t, np.unwrap(office.odometry.pose[:, 2]))
+    gyro = tuple(replace(scan, heading=float(a)) for scan, a in zip(bare.scans, heading, strict=True))
+    assert "turns-alone" not in {f.code for f in map_laser(replace(bare, scans=gyro), CFG, 0).findings}

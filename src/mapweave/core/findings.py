@@ -267,6 +267,14 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "Nothing bridges what scans do not tell.",
             "Give the odometry, if it was recorded.",
         ),
+        "turns-alone": FindingKind(
+            "doubtful",
+            "{times:.0f} turns from one scan to the next, the widest of {most:.0f} degrees, that nothing but the scans "
+            "tells",
+            "After a wide turn a scan sees little of what the one before it saw, and rooms that look alike pass for "
+            "each other: the map may be wrong by a room.",
+            "Record odometry or a gyroscope, scan more often, or turn more slowly.",
+        ),
         "odometry-short": FindingKind(
             "note",
             "{value:.0f} of {all:.0f} scans are outside the time of the odometry",

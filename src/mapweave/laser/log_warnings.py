@@ -6,6 +6,8 @@ than those of the wheels by the lag.
 
 Wheels. Where the motion from scans and that from wheels differ for long, one of the two is wrong.
 
+Turns. Where nothing but the scans tells of a wide turn from one to the next, it may have been another.
+
 Jumps. Where the scene changes at once though the wheels hardly moved, the robot was carried, or logs were joined.
 
 Places. A trajectory that says it passes by places seen before, where none of them is found again, is told.
@@ -52,6 +54,8 @@ WHEEL_LEAP = 2.0  # [m] from one scan to the next, or
 LEAP_TURN = 1.0  # [rad] that it turns from one scan to the next: a leap, at
 LEAP_SPEED = 5.0  # times the speed that no more
 LEAP_OTHERS = 0.95  # of all steps than this share have
+
+ALONE_WIDE = 0.6  # [rad] from one scan to the next that nothing but they tell: rooms alike pass for each other
 
 JUMP_DROP = 0.4  # of the share of returns on known walls from one scan to the next, and
 DROP_PER_M = 1.0  # so much more for a metre between the two and
@@ -145,6 +149,17 @@ def wheels_stand(track: Track, dead: Track | None, robot: str) -> tuple[Finding,
     if not stretches:
         return ()
     return (Finding("wheels-stand", robot, stretches[0], {"way": whole, "times": len(stretches)}),)
+
+
+def turns_alone(records: ScanRecords, scans: Sequence[Scan], robot: str) -> tuple[Finding, ...]:
+    """A finding where scans alone, without wheels and without a gyroscope, tell of wide turns: the first such."""
+    alone = np.array([scan.odometry is None and scan.heading is None for scan in scans], bool)
+    turned = np.abs(se2.wrap_angle(np.diff(records.pose[:, 2])))
+    wide = np.flatnonzero(alone[1:] & (turned > ALONE_WIDE))
+    if not len(wide):
+        return ()
+    span = (float(records.t[wide[0]]), float(records.t[wide[0] + 1]))
+    return (Finding("turns-alone", robot, span, {"times": len(wide), "most": float(np.degrees(turned[wide].max()))}),)
 
 
 def wheels_unlike(track: Track, dead: Track | None, robot: str) -> tuple[Finding, ...]:

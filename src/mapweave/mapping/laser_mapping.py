@@ -26,6 +26,7 @@ from ..laser.log_warnings import (
     jumps,
     lag_found,
     stamp_lag,
+    turns_alone,
     wheels_disagree,
     wheels_leap,
     wheels_stand,
@@ -350,6 +351,7 @@ def map_session(
         *_placed_again(jumps(result.scans, log.scans, robot), graph),
         *wheels_disagree(track, dead, robot, agreement.factor()),
         *wheels_stand(track, dead, robot),
+        *turns_alone(result.scans, log.scans, robot),
         *wheels_leap(log.scan_t, log.scans, robot, segments=graph is not None),
     )
     measured = agreement.findings(robot)
