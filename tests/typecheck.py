@@ -14,7 +14,7 @@ from types import CodeType
 import jaxtyping
 from beartype import BeartypeConf, beartype
 
-FIRST, EVERY = 4, 61  # calls of a function in one test that are checked: the first of them, and one in so many after
+FIRST, EVERY = 8, 61  # calls of a function in one test that are checked: the first of them, and one in so many after
 FIRST_NESTED, EVERY_NESTED = 4, 997  # of one defined within another: each time it is defined, its check is made anew
 
 checked = beartype(conf=BeartypeConf(is_pep484_tower=True))

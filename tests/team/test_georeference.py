@@ -18,6 +18,7 @@ from mapweave.sim.laser import DATUM, simulated_fixes
 from mapweave.team.config import SmoothingConfig
 from mapweave.team.georeference import laid_team, seen_from_first
 
+from ..spoilt_fixes import SPOILT
 from .fixed_teams import body_nees, carrying, errors, fixed, nees
 
 NOISE = 1.0  # [m]
@@ -150,19 +151,7 @@ def test_minutes_without_fixes_are_carried_over_and_told(pair, monkeypatch):
     assert np.hypot(*errors(found.components[0].georeference, one.truth)[0][:, :2].T).max() < 1.5
 
 
-@pytest.mark.parametrize(
-    ("spoil", "code"),
-    [
-        (lambda f: replace(f, place=f.place * [-1.0, 1.0, 1.0]), "fixes-mirrored"),
-        (lambda f: replace(f, place=f.place * [1.0, -1.0, 1.0]), "fixes-mirrored"),
-        (lambda f: replace(f, t=f.t + 1e6), "fixes-unused"),
-        (lambda f: replace(f, cov=np.full((len(f), 2, 2), np.nan)), "fixes-untold"),
-        (lambda f: replace(f, cov=0.01 * f.cov), "fixes-worse"),
-        (lambda f: replace(f, dropped={"fix without satellites": 3}), "fixes-dropped"),
-        (lambda f: replace(f, place=f.place[np.random.default_rng(1).permutation(len(f))]), "fixes-vague"),
-    ],
-    ids=["south", "west", "another-day", "untold", "too-sure", "no-satellites", "shuffled"],
-)
+@pytest.mark.parametrize(("spoil", "code"), SPOILT)
 def test_what_is_wrong_with_fixes_is_a_finding(pair, spoil, code):
     found = alone(pair, spoil)
     assert code in [f.code for f in found.findings]
