@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import mapweave
 from mapweave.core import se2
 from mapweave.kernels.laser.local_map import count_matches
 from mapweave.laser import closures
@@ -18,6 +19,7 @@ from mapweave.laser.closures import (
     PlaceMatcher,
 )
 from mapweave.laser.scan_matching import FRONT_END_AGREE, FRONT_END_COARSE, KEYFRAME_DISTANCE, FrontEnd, FrontEndConfig
+from mapweave.laser.scan_odometry import ScanOdometry
 
 from .test_scan_matching import box_scan
 
@@ -83,6 +85,21 @@ def test_without_odometry_a_scan_is_found_wherever_the_robot_turned(last, step, 
     assert np.abs(se2.between(true, found.pose)).max() < 0.04
     assert found.matches > 0.7 * found.beams
     np.testing.assert_allclose(se2.compose(se2.compose(last, step), found.innovation), found.pose, atol=1e-9)
+
+
+@pytest.mark.parametrize("every", [1, 2])
+def test_without_odometry_turns_of_any_width_are_found_in_rooms(every):
+    sim = mapweave.simulate_laser(world=mapweave.OfficeConfig(rooms=2, visited=2), seed=1)
+    odometry = ScanOdometry(FrontEndConfig(), tell_lines=False)
+    for scan in sim.log.scans[::every]:
+        odometry.advance(replace(scan, odometry=None), beams(scan, "none", None, BeamConfig()))
+    pose = np.array(odometry.poses)
+    true = se2.interpolate(sim.log.scan_t[::every], sim.truth.t, sim.truth.pose)
+    told, was = se2.between(pose[:-1], pose[1:]), se2.between(true[:-1], true[1:])
+    assert np.abs(was[:, 2]).max() > 1.5
+    off = se2.between(was, told)
+    assert np.hypot(off[:, 0], off[:, 1]).max() < 0.3  # a corridor tells little of the way along it
+    assert np.abs(off[:, 2]).max() < 0.05
 
 
 def test_along_a_bare_corridor_a_robot_without_odometry_drives_on_as_it_did():

@@ -9,12 +9,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 
 from ..core import se2
 from ..core.config import config
 from ..core.errors import ConfigError
 from ..kernels.laser.local_map import MatchCost, ScanPoints, add_points, align_scan, count_matches, fit_lines
+from ..kernels.mapping.places import heading_peaks
 from .beam import Beams
 
 FRONT_END_AGREE = 0.5  # least cosine between a beam's normal and its cell's
@@ -39,8 +40,15 @@ FRONT_END_REACH = 0.1  # [m] a return this near its line counts as matched
 LEAST_SHARE = 0.25  # share of the returns that must match, or odometry is taken
 GYRO_SCALE = 0.03  # share of a turn by which the turn of a gyroscope may err besides
 ALONE_SEARCH = 1.3  # [rad] turns tried to either side of such a robot's last heading
-ALONE_TRIES = 5  # turns of those, which most returns match, which are refined
-ALONE_APART = 2.5  # times WIDE_STEP that these lie apart from each other at least
+ALONE_STEP = 0.06  # [rad] between them
+ALONE_PEAKS = 5  # turns tried besides, by which its walls face where those of the local map do
+ALONE_MOST = 2.6  # [rad] of those at most: turned about, a corridor looks the same
+ALONE_BINS, ALONE_PEAKS_APART, ALONE_PEAK_SHARE = 360, 8, 0.3  # directions; bins between peaks; of the greatest
+ALONE_SMOOTH = 2.0  # [bins] by which the directions are smoothed
+ALONE_SHIFT, ALONE_SHIFTS = 0.4, 2  # [m] and how often to each side: the places tried with each of those
+ALONE_REACH = 0.15  # [m] a return this near its line counts in these tries
+ALONE_TRIES = 8  # of all, those that most returns match, which are refined,
+ALONE_APART, ALONE_APART_TURN = 0.5, 0.075  # [m] or [rad] that these lie apart from each other
 ALONE_LOSS = 0.04  # share of the returns that a change of its motion must win: so much times
 ALONE_STEADY = 0.1  # ln(1 + (change of the step / this [m])^2 + (change of the turn / the next)^2)
 ALONE_STEADY_TURN = 0.15  # [rad] change of the turn that weighs as much
@@ -82,6 +90,15 @@ class ScanMatch(NamedTuple):
     beams: int
 
 
+class _Keyframe(NamedTuple):
+    """The returns of a scan in the local map's frame, and the spectrum of the directions in which their walls face."""
+
+    points: Float[np.ndarray, "n 2"]
+    normals: Float[np.ndarray, "n 2"]
+    q: Float[np.ndarray, " n"]
+    directions: Complex[np.ndarray, " f"]
+
+
 class FrontEnd:
     """The local map. `insert` changes it: it belongs to one estimator state."""
 
@@ -93,7 +110,7 @@ class FrontEnd:
         self.sums = [_untouched((cfg.size, cfg.size, 9)) for _ in range(2)]
         self.lines = [_untouched((cfg.size, cfg.size, 6)) for _ in range(2)]
         self.fine, self.coarse = self.lines
-        self.keyframes: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+        self.keyframes: list[_Keyframe] = []
         self.last_keyframe: np.ndarray | None = None
 
     def match(self, b: Beams, predicted: Float[np.ndarray, "3"], sd: Float[np.ndarray, "3"]) -> ScanMatch:
@@ -122,24 +139,29 @@ class FrontEnd:
     ) -> ScanMatch:
         """Where the scan fits when nothing is known but the last pose and the last motion; the map is not touched.
 
-        Turns are tried far to either side, as if the robot drove on and as if it stood; where `sd` says that the turn
-        is known, about that alone. Of the best that are refined
-        the one is taken that most returns match, less what its change of motion costs: more returns match where the
-        walls are known already, so that a scan along a bare wall would rather have the robot stand.
+        Turns are tried far to either side, as if the robot drove on and as if it stood, and those by which its walls
+        face where the local map's do, all about; where `sd` says that the turn is known, about that alone. Of the best,
+        which are refined, the one is taken that most returns match, less what its change of motion costs: more returns
+        match where the walls are known already, so that a scan along a bare wall would rather have the robot stand.
         """
         n = len(b.q)
         on = np.asarray(se2.compose(last, step))
         known = bool(sd[2] < ALONE_TURN)
         last = np.array([*last[:2], on[2]]) if known else last
         far = min(3.0 * float(sd[2]) if known else ALONE_SEARCH, np.pi)
-        turns = np.arange(-far, far + 1e-9, WIDE_STEP)
+        turns = np.arange(-far, far + 1e-9, ALONE_STEP)
         at = np.array([[*place[:2], last[2] + a] for place in (on, last) for a in turns])
-        scores = np.array([self._count(self.coarse, FRONT_END_COARSE, b, pose, FRONT_END_REACH) for pose in at])
+        if not known:
+            at = np.concatenate([at, self._by_directions(b, last)])
+        scores = np.array([self._count(self.coarse, FRONT_END_COARSE, b, pose, ALONE_REACH) for pose in at])
         starts = [on, last]
         for k in np.argsort(-scores, kind="stable").tolist():
             if len(starts) >= 2 + ALONE_TRIES:
                 break
-            if all(abs(se2.wrap_angle(at[k, 2] - s[2])) > ALONE_APART * WIDE_STEP for s in starts):
+            away = at[k] - starts
+            if (
+                (np.hypot(away[:, 0], away[:, 1]) > ALONE_APART) | (abs(se2.wrap_angle(away[:, 2])) > ALONE_APART_TURN)
+            ).all():
                 starts.append(at[k])
         matches = []
         for start in starts:
@@ -160,9 +182,8 @@ class FrontEnd:
             if np.hypot(d[0], d[1]) < KEYFRAME_DISTANCE and abs(d[2]) < c.keyframe_turn:
                 return False
         self.last_keyframe = np.array(pose, float)
-        frame = (se2.act(pose, b.s), b.normal @ se2.rotation(float(pose[2])).T, b.q)
-        self._put(frame, 1.0)
-        self.keyframes.append(frame)
+        self.keyframes.append(_keyframe([(b, pose)]))
+        self._put(self.keyframes[-1], 1.0)
         if len(self.keyframes) > c.keyframes:
             self._put(self.keyframes.pop(0), -1.0)
         return True
@@ -172,12 +193,9 @@ class FrontEnd:
         for frame in self.keyframes:
             self._put(frame, -1.0)
         self.last_keyframe = None
-        parts = [(se2.act(pose, b.s), b.normal @ se2.rotation(float(pose[2])).T, b.q) for b, pose in scans]
-        self.keyframes = []
-        if parts:
-            points, normals, q = (np.concatenate(part) for part in zip(*parts, strict=True))
-            self.keyframes = [(points, normals, q)]
-            self._put(self.keyframes[0], 1.0)
+        self.keyframes = [_keyframe(scans)] if scans else []
+        for frame in self.keyframes:
+            self._put(frame, 1.0)
 
     def information(self, b: Beams, pose: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
         """What the lines alone tell of a scan at `pose`, over robot-frame x, y, theta: along a bare wall nothing.
@@ -198,11 +216,19 @@ class FrontEnd:
         )
         return np.asarray(H - np.diag(held**-2.0))
 
-    def _put(self, frame: tuple[np.ndarray, np.ndarray, np.ndarray], sign: float) -> None:
-        points, normals, q = (np.ascontiguousarray(a) for a in frame)
+    def _by_directions(self, b: Beams, last: Float[np.ndarray, "3"]) -> Float[np.ndarray, "k 3"]:
+        """Poses about the last one at which the scan's walls face where those of the local map do."""
+        seen = np.sum([frame.directions for frame in self.keyframes], axis=0)
+        alike = np.fft.irfft(seen * np.conj(_directions(b.normal)), ALONE_BINS)
+        (peaks,), (count,) = heading_peaks(alike[None], ALONE_PEAKS, ALONE_PEAKS_APART, ALONE_PEAK_SHARE, 0.0)
+        turns = peaks[:count][np.abs(se2.wrap_angle(peaks[:count] - last[2])) < ALONE_MOST]
+        to = ALONE_SHIFT * np.arange(-ALONE_SHIFTS, ALONE_SHIFTS + 1)
+        return np.array([[last[0] + x, last[1] + y, turn] for turn in turns for x in to for y in to]).reshape(-1, 3)
+
+    def _put(self, frame: "_Keyframe", sign: float) -> None:
         for sums, lines, cell in zip(self.sums, self.lines, (FRONT_END_FINE, FRONT_END_COARSE), strict=True):
-            add_points(sums, cell, points, normals, q, sign)
-            fit_lines(sums, lines, cell, points)
+            add_points(sums, cell, frame.points, frame.normals, frame.q, sign)
+            fit_lines(sums, lines, cell, frame.points)
 
     def _refine(
         self, b: Beams, start: np.ndarray, predicted: np.ndarray, sd: np.ndarray
@@ -218,6 +244,23 @@ class FrontEnd:
 
     def _count(self, grid: np.ndarray, cell: float, b: Beams, pose: np.ndarray, reach: float) -> int:
         return count_matches(grid, cell, b.s, b.normal, b.q, self.cfg.alpha, FRONT_END_AGREE, pose, reach)
+
+
+def _keyframe(scans: Sequence[tuple[Beams, Float[np.ndarray, "3"]]]) -> _Keyframe:
+    parts = [(se2.act(pose, b.s), b.normal @ se2.rotation(float(pose[2])).T, b.q) for b, pose in scans]
+    points, normals, q = (np.ascontiguousarray(np.concatenate(part)) for part in zip(*parts, strict=True))
+    return _Keyframe(points, normals, q, _directions(normals))
+
+
+def _directions(normals: Float[np.ndarray, "n 2"]) -> Complex[np.ndarray, " f"]:
+    """The spectrum of how many of the normals show in each direction, smoothed, its mean off."""
+    at = np.floor(np.arctan2(normals[:, 1], normals[:, 0]) / (2.0 * np.pi) * ALONE_BINS).astype(int) % ALONE_BINS
+    away = np.minimum(np.arange(ALONE_BINS), ALONE_BINS - np.arange(ALONE_BINS))
+    spectrum = np.fft.rfft(np.bincount(at, minlength=ALONE_BINS)) * np.fft.rfft(
+        np.exp(-0.5 * np.square(away / ALONE_SMOOTH))
+    )
+    spectrum[0] = 0.0
+    return np.asarray(spectrum)
 
 
 def _untouched(shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
