@@ -33,3 +33,13 @@ def test_cost_gradient_and_information_are_those_of_the_residuals():
     weight = 1.0 / (1.0 + np.square(e).sum(axis=-1) / 4.0)
     np.testing.assert_allclose(g, np.einsum("m,mri,mr->i", weight, J, e), rtol=1e-5)
     np.testing.assert_allclose(H, np.einsum("m,mri,mrj->ij", weight, J, J), rtol=1e-5, atol=1e-6)
+
+
+def test_a_direction_to_a_point_at_the_observers_place_does_not_tell_it_without_end():
+    nothing = np.full(1, np.nan)
+    for forward in (True, False):
+        at = np.array([[2.0, 1.0, 0.3]]), np.array([[2.0, 1.0 + 1e-8]])
+        _, _, H = relation_normal(
+            np.full(1, forward), *at, nothing, np.zeros(1), np.zeros(3), CFG.range_floor, CFG.range_share, CFG.bearing
+        )
+        assert 0.0 < np.linalg.eigvalsh(H[:2, :2])[1] < 1.0 / (0.05 * CFG.bearing) ** 2

@@ -96,3 +96,17 @@ def test_a_point_is_where_its_bearings_meet():
     np.testing.assert_allclose(point_seen(z, CFG), [1.0, 2.0], atol=0.05)
     still = MutualSightings(z.forward, np.tile(pose[5], (20, 1)), z.point, z.range, np.full(20, b[5]), z.t)
     assert point_seen(still, CFG) is None
+
+
+def test_a_place_at_a_point_that_was_sighted_is_no_sure_one_and_no_failure():
+    m = 17
+    way = np.linspace(0.0, 1.0, m)
+    pose = np.column_stack([3.0 + 0.3 * way, 0.9 * way, np.full(m, 1.2)])
+    point = np.column_stack([np.full(m, -1.7), 1.3 - way])
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        wrong = np.where(rng.random(m) < 0.2, rng.uniform(-1, 3, m), 0.0)
+        bearing = -0.4 - 0.15 * way + 0.005 * rng.standard_normal(m) + wrong
+        z = MutualSightings(np.zeros(m, bool), pose, point, np.full(m, np.nan), bearing, np.arange(m, dtype=float))
+        found = relate(z, CFG)
+        assert found is None or np.sqrt(np.diag(found.cov)[:2].max()) > 0.01

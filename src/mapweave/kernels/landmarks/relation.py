@@ -6,6 +6,7 @@ from .._jit import kernel
 from .submap import wrapped
 
 NEAREST = 1e-9  # [m] a point at the observer's own place has no direction
+NEAREST_TELLS = 0.1  # [m] at which a direction tells most of a place: nobody sees anything nearer
 
 
 @kernel
@@ -22,12 +23,15 @@ def relation_normal(
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """The Cauchy cost of m sightings with frame b at `T` (3,) in a, its gradient (3,) and information (3, 3).
 
+    A direction to a point at the observer's own place would tell the place without end; it tells what it would from
+    `NEAREST_TELLS`.
+
     forward: (m,) the observer stands in a at `pose` (m, 3), the target in b at `point` (m, 2); else the other way
     round; range_: (m,) [m], NaN where it is not told; bearing: (m,) [rad]. sd of a range: floor and share of it.
     """
     cost, g, H = 0.0, np.zeros(3), np.zeros((3, 3))
     c, s = np.cos(T[2]), np.sin(T[2])
-    r_by, b_by = np.empty(3), np.empty(3)
+    r_by, b_by, told = np.empty(3), np.empty(3), np.empty(3)
     for i in range(len(bearing)):
         inside = point[i] if forward[i] else pose[i]
         x, y = c * inside[0] - s * inside[1], s * inside[0] + c * inside[1]
@@ -40,8 +44,10 @@ def relation_normal(
         r = max(np.sqrt(dx * dx + dy * dy), NEAREST)
         b_by[0], b_by[1] = -sign * dy / (r * r * sd_bearing), sign * dx / (r * r * sd_bearing)
         b_by[2] = sign * (dy * y + dx * x) / (r * r * sd_bearing)
+        told[:] = b_by * r / max(r, NEAREST_TELLS)
         if not forward[i]:
             b_by[2] -= 1.0 / sd_bearing
+            told[2] -= 1.0 / sd_bearing
         e_b = wrapped(np.arctan2(dy, dx) - heading - bearing[i]) / sd_bearing
         e_r = 0.0
         r_by[:] = 0.0
@@ -56,5 +62,5 @@ def relation_normal(
         for a in range(3):
             g[a] += weight * (r_by[a] * e_r + b_by[a] * e_b)
             for b in range(3):
-                H[a, b] += weight * (r_by[a] * r_by[b] + b_by[a] * b_by[b])
+                H[a, b] += weight * (r_by[a] * r_by[b] + told[a] * told[b])
     return cost, g, H
