@@ -36,3 +36,34 @@ def test_a_robot_without_wheels_is_placed_however_rarely_it_is_sighted(every):
     track = layout.bodies[0].tracks["robot4"]
     off = track.pose - se2.interpolate(track.t, way.t, way.pose)
     assert np.hypot(*off[:, :2].T).max() < 0.4
+
+
+@pytest.mark.parametrize("shared", [1, 3])
+def test_robots_are_not_tied_by_one_landmark_however_often_it_was_seen(shared):
+    """Of what the second robot sighted `shared` landmarks are the first's; a tenth of the names is of others."""
+    rng = np.random.default_rng(4)
+    names = tuple(f"L{k}" for k in range(8))
+    at = rng.uniform(-5, 5, (8, 2))
+    T = np.array([3.0, 1.0, 0.7])
+    t = np.arange(0.0, 60.0, 0.5)
+    way = np.column_stack([3 * np.cos(0.1 * t), 3 * np.sin(0.1 * t), 0.1 * t + np.pi / 2])
+    what = rng.integers(0, shared, len(t))
+    seen = se2.act(se2.inverse(T), at)[what]
+    wrong = rng.random(len(t)) < 0.1
+    what = np.where(wrong, rng.integers(shared, 8, len(t)), what)
+    ahead = seen - way[:, :2]
+    bearing = se2.wrap_angle(np.arctan2(ahead[:, 1], ahead[:, 0]) - way[:, 2])
+    log = LandmarkLog("robot2", None, SightingTable(t, what, np.hypot(*ahead.T), bearing, names))
+    ends = np.array([t[0], t[-1]])
+    bodies = [
+        Body({"robot1": Track(ends, np.zeros((2, 3)))}, dict(zip(names, at, strict=True))),
+        Body({"robot2": Track(t, way)}, {}),
+    ]
+    layout = lay_out(bodies, [], {"robot2": log}, {}, PlacingConfig(), SmoothingConfig())
+    if shared == 1:
+        assert layout.ties == ()
+        return
+    (tie,) = layout.ties
+    off = layout.bodies[0].tracks["robot2"].pose - se2.compose(T, way)
+    assert tie.agree >= 100
+    assert np.abs(off[:, :2]).max() < 0.2

@@ -6,7 +6,7 @@ headings are tried, each with its robust shift, and the best is worked out by Ga
 A frame is that of a `Body`: a piece of a team that holds together by itself.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -33,6 +33,7 @@ SHARP_BEARING = 0.4  # of a bearing, that is the sighting's own: as along tracks
 PLACING_INLIER = 3.0  # standard deviations within which a sighting agrees
 PLACING_LEAST = 4  # sightings that agree,
 PLACING_SHARE = 0.45  # and their share of all
+TIE_MOMENT = 5.0  # [s] for which what is seen of one robot tells one place of it
 PLACING_LEAD = 3.0  # cost by which any other heading must be worse
 PLACING_APART = 0.6  # [rad] from which another heading is another one
 SURE_THETA = 0.3  # [rad] sd of its turn, at most
@@ -95,7 +96,8 @@ class MutualSightings:
     """m sightings between frames a and b.
 
     forward: the observer is in a (its pose: (m, 3)) and the target in b (point: (m, 2)), else the other way round;
-    range: (m,) [m], NaN where it is not told; bearing: (m,) [rad]; t: (m,) [s].
+    range: (m,) [m], NaN where it is not told; bearing: (m,) [rad]; t: (m,) [s]; what: (m,) the target's name, where a
+    name was told.
     """
 
     forward: Bool[np.ndarray, " m"]
@@ -104,12 +106,14 @@ class MutualSightings:
     range: Float[np.ndarray, " m"]
     bearing: Float[np.ndarray, " m"]
     t: Float[np.ndarray, " m"]
+    what: np.ndarray = field(default_factory=lambda: np.zeros(0, str))
 
     def __len__(self) -> int:
         return len(self.t)
 
     def select(self, keep: np.ndarray) -> "MutualSightings":
-        return MutualSightings(*(getattr(self, name)[keep] for name in self.__slots__))
+        columns = (getattr(self, name) for name in self.__slots__)
+        return MutualSightings(*(column[keep] if len(column) else column for column in columns))
 
     @classmethod
     def joined(cls, parts: "list[MutualSightings]") -> "MutualSightings":
@@ -397,12 +401,13 @@ def _of_robot(
             point = np.tile(other.landmarks[names.get(name, name)], (len(rows), 1))
         else:
             continue
-        out.append(_mutual_sightings(table, rows, pose[rows], point, forward=forward))
+        what = name if name in other.tracks else names.get(name, name)
+        out.append(_mutual_sightings(table, rows, pose[rows], point, what, forward=forward))
     return out
 
 
 def _mutual_sightings(
-    table: SightingTable, rows: np.ndarray, pose: np.ndarray, point: np.ndarray, *, forward: bool
+    table: SightingTable, rows: np.ndarray, pose: np.ndarray, point: np.ndarray, what: str, *, forward: bool
 ) -> MutualSightings:
     order = np.argsort(table.t[rows], kind="stable")
     rows = rows[order]
@@ -413,6 +418,7 @@ def _mutual_sightings(
         table.range[rows],
         table.bearing[rows],
         table.t[rows],
+        np.full(len(rows), what),
     )
 
 
@@ -532,13 +538,27 @@ def _tie(
     best, clock = relate(seen, cfg), 0.0
     if second.own_clock:
         best, clock = _with_clock(first, second, logs, labels, cfg, best)
-    if best is None or not is_sure(best, cfg):
+        seen = mutual_sightings(first, replace(second, clock=clock), logs, labels)
+    if best is None or not is_sure(best, cfg) or hangs_on_one(seen, best, {*a.tracks, *b.tracks}, cfg):
         return None
     if swap:
         T = se2.inverse(best.transform)
         J = se2.inverse_jacobian(best.transform)
         best = replace(best, transform=T, cov=J @ best.cov @ J.T)
     return best, clock
+
+
+def hangs_on_one(z: MutualSightings, relation: Relation, robots: Collection[str], cfg: PlacingConfig) -> bool:
+    """Whether too few sightings agree but for those of one landmark, or of one robot at one moment.
+
+    However often it was seen, one point that was mislabelled, or taken for another, makes sightings agree with any turn
+    about it.
+    """
+    agree = np.square(residuals(z, relation.transform, cfg)).sum(axis=-1) < PLACING_INLIER**2
+    moment = np.where(np.isin(z.what, sorted(robots)), z.t // TIE_MOMENT, 0.0)
+    _, of = np.unique(np.rec.fromarrays([z.what, moment]), return_inverse=True)
+    rest, agreeing = len(z) - np.bincount(of), agree.sum() - np.bincount(of, agree)
+    return bool((agreeing < np.maximum(PLACING_LEAST, PLACING_SHARE * rest)).any())
 
 
 def _with_clock(
