@@ -69,6 +69,18 @@ def test_worlds_of_radios_that_cannot_be_are_refused(options):
 
 
 @pytest.mark.slow
+def test_a_map_that_radios_must_be_metres_unlike_for_is_not_good(tmp_path):
+    """Half a minute of two poor robots among beacons, past walls: the best layout found is metres wrong."""
+    drive = {"lasers": 2, "cameras": 0, "bearings": 0, "beacons": 6, "minutes": 0.5}
+    mapweave.simulate_team(tmp_path / "log", ranges=True, nlos=0.1, noise=2.0, outliers=0.05, seed=9, **drive)
+    result = mapweave.map(tmp_path / "log", truth=tmp_path / "log")
+    assert max(robot["ate"] for robot in result.evaluation.as_json()["robots"].values()) > 1.0
+    assert result.verdict == "doubtful"
+    (found,) = [found for found in result.findings if found.code == "range-biases"]
+    assert found.value["value"] > 1.0
+
+
+@pytest.mark.slow
 @pytest.mark.skipif(not DATA.is_dir(), reason="needs MAPWEAVE_DATA")
 def test_the_public_graph_is_solved_from_no_guess_as_well_as_from_the_truth():
     """0.0406 m is what GTSAM's batch with the same factors ends at from the truth (benchmarks/ranges.py)."""

@@ -86,6 +86,13 @@ def test_a_team_that_saw_nothing_is_refused(tmp_path):
         read_landmark_logs(write(tmp_path / "set", {1: (drive(), []), 2: (drive(), None)}))
 
 
+def test_a_team_that_saw_bearings_alone_is_refused_for_that(tmp_path):
+    (tmp_path / "odometry.csv").write_text("t,robot,v,w\n0,1,0.1,0\n1,1,0.1,0\n")
+    (tmp_path / "sightings.csv").write_text("t,robot,id,range,bearing\n0.2,1,L1,,0.1\n0.5,1,L2,,0.3\n")
+    with pytest.raises(DataError, match="no sighting has its range, and bearings alone begin no map"):
+        read_landmark_logs(tmp_path)
+
+
 def test_rows_that_are_not_finite_or_not_positive_are_dropped_and_counted(tmp_path):
     odometry = [*drive(), (1.0, np.nan, 0.0), (np.inf, 0.1, 0.0)]
     seen = [*glances(), (0.9, 63, -1.0, 0.0), (0.9, 63, 0.0, 0.0), (0.9, 81, 2.0, np.nan), (np.nan, 81, 2.0, 0.0)]

@@ -36,6 +36,7 @@ from .map_options import MapOptions
 from .team import Watch
 
 SURVEYED = 0.02  # [m] sd of a beacon whose survey does not say it
+BIASES_APART = 1.0  # [m] by which pairs of radios differ (rms about their median) in how much too long they read
 MOSTLY = 0.5  # share of ranges rejected from which nothing is believed
 TOLD_SHARE = 0.02  # of all ranges rejected, from which it is told
 
@@ -283,6 +284,12 @@ def _findings(net: RangeNetwork, found: RangeEstimate) -> list[Finding]:
         pair, worst = f"{robot_key(most.a)} and {robot_key(most.b)}", 100 * most.far / most.n
         shares: dict[str, float | str] = {"far": far, "n": n, "share": 100 * far / n, "pair": pair, "worst": worst}
         out.append(Finding("range-outliers", value=shares))
+    biases = np.array([r.bias for r in found.radios])
+    apart = np.abs(biases - np.median(biases)) if len(biases) else np.zeros(1)
+    if (differ := float(np.sqrt(np.square(apart).mean()))) > BIASES_APART:
+        worst_of = found.radios[int(np.argmax(apart))]
+        pair = f"{robot_key(worst_of.a)} and {robot_key(worst_of.b)}"
+        out.append(Finding("range-biases", value={"pair": pair, "bias": worst_of.bias, "value": differ}))
     if far > MOSTLY * n:
         out.append(Finding("ranges-contradict", value={"far": far, "n": n}))
     for part in found.parts:

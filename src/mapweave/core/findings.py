@@ -696,6 +696,14 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "about as well are all told, and the map shows the best.",
             "Drive round a corner while ranging, add a beacon or robot off the line, or tell where one is known.",
         ),
+        "range-biases": FindingKind(
+            "doubtful",
+            "ranges between {pair} read {bias:.1f} m too long, and those of all pairs differ by {value:.1f} m in that: "
+            "radios differ by decimetres",
+            "How much too long a pair's ranges are is estimated with the map. That they are so unlike makes up for "
+            "robots or beacons that stand elsewhere, as where robots drove too little or ranges went past walls.",
+            "Drive farther while ranging; look at the map, and whether each radio is on the robot it is said to be on.",
+        ),
         "range-unplaced": FindingKind(
             "doubtful",
             "is not in the map: {value}",

@@ -154,6 +154,11 @@ def _logs(
             LandmarkLog(f"robot{k}", odometry, table, mend.dropped, tuple(mend.findings), path, bearings=bearings)
         )
     if others is None and not any(len(log.sightings) for log in logs):
+        if any(len(log.bearings) for log in logs):
+            raise DataError(
+                f"{path}: no sighting has its range, and bearings alone begin no map: add a robot's ranges or laser "
+                "log, or place robots that see each other by `mapweave locate`"
+            )
         raise DataError(f"{path}: no robot saw anything")
     landmark_log.check_one_recording({log.robot: log.span for log in logs if len(log)}, path)
     return tuple(logs)
