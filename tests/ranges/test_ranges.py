@@ -9,8 +9,8 @@ import mapweave
 from mapweave.core import se2
 from mapweave.core.records import Track
 from mapweave.ranges import log as range_log
-from mapweave.ranges.estimate import RangeEstimate, _Noise, estimate, lasting
-from mapweave.ranges.factors import motion_factor, range_factor
+from mapweave.ranges.estimate import RangeEstimate, _Noise, estimate
+from mapweave.ranges.factors import lasting, motion_factor, range_factor
 from mapweave.ranges.log import RangeLog, network_of
 from mapweave.ranges.network import Motions, RangeNetwork, Ranges
 from mapweave.ranges.start import placements

@@ -325,7 +325,7 @@ def _of_logs(logs: Sequence[Path | str | LaserLog | Log], options: MapOptions) -
 
 def _expect_fitting(mapper: Mapper, log: Path, options: MapOptions) -> None:
     """Raises UsageError for an option that logs of another kind have."""
-    tagged = mapper.__name__ == LANDMARKS and is_bag(log)
+    tagged = mapper.__name__ in {LANDMARKS, RANGES} and is_bag(log)
     given = [option for option in options.laser_alone() if not (tagged and option == "--fixes")]
     if given and mapper.__name__ != LASER:
         raise UsageError(f"{', '.join(given)}: only for laser logs, found {log}")

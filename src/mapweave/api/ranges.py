@@ -15,6 +15,7 @@ from ..core.paths import path_arguments
 from ..core.version import __version__
 from ..core.workers import one_blas_thread
 from ..io.directory import check_target, result_directory, write_json
+from ..io.fixes import write_georeferenced
 from ..io.points import read_points
 from ..io.pyfg import read_pyfg, write_pyfg
 from ..io.range_bags import is_range_bag, read_range_bag
@@ -22,6 +23,7 @@ from ..io.rawlog import is_rawlog_of_ranges, read_rawlog_ranges
 from ..io.table import write_table
 from ..io.team_map import write_landmarks, write_tracks
 from ..landmarks.landmark_map import LandmarkMap
+from ..mapping.woven_map import Georeference
 from ..ranges.estimate import PlacedPart, RangeEstimate, estimate
 from ..ranges.log import RangeLog, network_of
 from ..ranges.network import RangeNetwork
@@ -30,6 +32,7 @@ from ..report.ranges import RangeStory, range_scene, write_range_report
 from ..report.result import ResultBase, Rows
 from ..report.score import headline_scores
 from ..report.style import Target
+from ..team.georeference import laid_ranges
 from ..team.team_map import TeamMap, in_first_frame
 from .evaluate import Evaluation, judged
 from .map_options import MapOptions
@@ -43,7 +46,9 @@ TOLD_SHARE = 0.02  # of all ranges rejected, from which it is told
 
 @dataclass(frozen=True, slots=True, repr=False)
 class RangeResult(ResultBase):
-    """Robots and beacons placed by ranges: `maps` as of landmark logs, beacons as landmarks, the largest first."""
+    """Robots and beacons placed by ranges: `maps` as of landmark logs, beacons as landmarks, the largest first;
+    georeference: where fixes lay one of them.
+    """
 
     maps: tuple[TeamMap, ...]
     network: RangeNetwork
@@ -53,6 +58,7 @@ class RangeResult(ResultBase):
     unused: tuple[Unused, ...]
     timing: dict[str, float] = field(compare=False)
     evaluation: Evaluation | None = None
+    georeference: Georeference | None = None
 
     @property
     def verdict(self) -> Verdict:
@@ -95,7 +101,14 @@ class RangeResult(ResultBase):
             "converged": all(part.converged for part in e.parts),
             "timing": self.timing,
         }  # fmt: skip
+        if self.georeference is not None:
+            out["georeference"] = [None if placed is None else placed.row() for placed in self._placed]
         return out if self.evaluation is None else {**out, "evaluation": self.evaluation.as_json()}
+
+    @property
+    def _placed(self) -> list[Georeference | None]:
+        """Of each map where it lies in the world."""
+        return [self.georeference if part.laid is not None else None for part in self.estimate.parts]
 
     def headline(self) -> Rows:
         rows = [(robot_key(r.a), robot_key(r.b), r.n, r.bias, r.sd, r.far) for r in self.estimate.radios]
@@ -136,11 +149,13 @@ class RangeResult(ResultBase):
 
     def _write_files(self, folder: Path) -> None:
         net, e = self.network, self.estimate
-        for k, team in enumerate(self.maps, 1):
+        for k, (team, placed) in enumerate(zip(self.maps, self._placed, strict=True), 1):
             home = folder if k == 1 else folder / "components" / str(k)
             home.mkdir(parents=True, exist_ok=True)
             write_landmarks(home, team)
             write_tracks(home, team)
+            if placed is not None:
+                write_georeferenced(home, placed, team.tracks, landmarks=team.landmarks)
         who, r = [robot_key(name) for name in net.everybody], net.ranges
         rows = zip(
             r.t.tolist(), [who[k] for k in net.owner[r.a]], [who[k] for k in net.owner[r.b]], r.z.tolist(),
@@ -223,7 +238,8 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> RangeResult:
         if getattr(options, name) != getattr(plain, name):
             raise UsageError(f"--{name.replace('_', '-')}: not for recordings of ranges, found {logs[0]}")
     watch = Watch()
-    log = read_range_bag(logs[0], options.radios) if is_range_bag(logs[0]) else read_rawlog_ranges(logs[0])
+    bag = is_range_bag(logs[0])
+    log = read_range_bag(logs[0], options.radios, options.laser.fixes) if bag else read_rawlog_ranges(logs[0])
     if options.survey is not None:
         points = read_points(options.survey)
         known = {name: (x, y, sd or SURVEYED) for name, (x, y, sd) in points.items() if name in log.names}
@@ -239,21 +255,29 @@ def _of_log(log: RangeLog, watch: Watch) -> RangeResult:
     if not len(net.ranges):
         why = ", ".join(f"{n} {reason}" for reason, n in net.dropped.items()) or "there are none"
         raise DataError(f"{log.source}: no range can be used: {why}")
-    return _result(net, log.source, log.findings, log.unused, watch)
+    return _result(net, log.source, log.findings, log.unused, watch, log)
 
 
 def _result(
-    net: RangeNetwork, source: str, findings: Sequence[Finding], unused: Sequence[Unused], watch: Watch
+    net: RangeNetwork,
+    source: str,
+    findings: Sequence[Finding],
+    unused: Sequence[Unused],
+    watch: Watch,
+    log: RangeLog | None = None,
 ) -> RangeResult:
-    found = estimate(net)
+    found, georeference = estimate(net), None
     watch.lap("solve")
+    if log is not None and log.fixes:
+        laid = laid_ranges(net, found, log.odometry, log.fixes)
+        found, georeference, findings = laid.estimate, laid.georeference, (*findings, *laid.findings)
+        watch.lap("fixes")
     if not found.parts or not all(np.isfinite(part.pose).all() for part in found.parts):
         raise EstimateError(f"{source}: the solve ended with numbers that are not finite")
     maps = tuple(_team(net, part, found) for part in found.parts)
     told = (*findings, *_findings(net, found))
-    return RangeResult(
-        maps, net, found, told, source, tuple(unused), {k: round(v, 4) for k, v in watch.seconds.items()}
-    )
+    timing = {k: round(v, 4) for k, v in watch.seconds.items()}
+    return RangeResult(maps, net, found, told, source, tuple(unused), timing, georeference=georeference)
 
 
 def _team(net: RangeNetwork, part: PlacedPart, found: RangeEstimate) -> TeamMap:

@@ -214,8 +214,7 @@ def simulate_laser(
     """
     world = world or CorridorConfig()
     _check(world)
-    if fixes is not None and not 0 < fixes <= FARTHEST:
-        raise UsageError(f"--fixes: expected a noise of more than 0 m, found {fixes:g}")
+    _check_receivers(fixes)
     if out is not None:
         _mcap(out)
     if isinstance(world, CorridorConfig):
@@ -232,6 +231,11 @@ def simulate_laser(
     if out is not None:
         result.write(out)
     return result
+
+
+def _check_receivers(sd: float | None) -> None:
+    if sd is not None and not 0 < sd <= FARTHEST:
+        raise UsageError(f"--fixes: expected a noise of more than 0 m, found {sd:g}")
 
 
 def _with_fixes(drive: LaserSimulation, sd: float, seed: int) -> LaserSimulation:
@@ -438,7 +442,8 @@ class SimulatedMixedTeam(ResultBase, MixedRecording):
         if self.world.ranges:
             wheels = {r.name: r.odometry for r in self.robots if r.odometry is not None}
             folder.mkdir(parents=True, exist_ok=True)
-            write_range_bag(folder / "ranges.mcap", wheels, [(r.a, r.b, r.t, r.z) for r in self.ranges])
+            told = {r.name: r.fixes for r in self.robots if r.fixes is not None}
+            write_range_bag(folder / "ranges.mcap", wheels, [(r.a, r.b, r.t, r.z) for r in self.ranges], told)
             write_truth(folder / "truth", self.truth)
             write_json(folder / "simulation.json", self.metrics)
             return
@@ -480,6 +485,7 @@ def simulate_team(
     ranges: bool = False,
     beacons: int = 0,
     nlos: float = 0.0,
+    fixes: float | None = None,
     seed: int = 0,
     force: bool = False,
 ) -> SimulatedMixedTeam:
@@ -525,6 +531,9 @@ def simulate_team(
     nlos
         The share of ranges that go round something, for seconds at a time, and are too long by decimetres and more
         (0). With `ranges`.
+    fixes
+        Robots with a laser or a radio also carry a satellite receiver with so much noise [m] on either axis; teams of
+        other seeds lie elsewhere, and the truth is east and north of one datum (no receiver).
     seed
         Of everything drawn at random (0).
     force
@@ -552,8 +561,10 @@ def simulate_team(
         ranges=ranges,
         beacons=beacons,
         nlos=nlos,
+        fixes=fixes,
     )
     world.check()
+    _check_receivers(fixes)
     if out is not None:
         check_target(Path(out), force=force)
     simulated = simulate_mixed(world, seed)

@@ -107,7 +107,7 @@ def _messages(log: LaserLog, truth: Track | None, range_min: float) -> Iterator[
             yield ns, "/odom", odometry_message(ns, pose)
     if log.fixes is not None:
         for t, place, cov in zip(log.fixes.t, log.fixes.place, log.fixes.cov, strict=True):
-            yield nanoseconds(t), "/fix", _fix(nanoseconds(t), place, cov)
+            yield nanoseconds(t), "/fix", fix_message(nanoseconds(t), place, cov)
     steps = np.diff(log.scan_t)
     every = float(np.median(steps)) if len(steps) else 0.0
     for t, scan in zip(log.scan_t, log.scans, strict=True):
@@ -131,7 +131,7 @@ def _scan(ns: int, scan: Scan, range_min: float, every: float) -> Any:
     )
 
 
-def _fix(ns: int, place: Float[np.ndarray, "3"], cov: Float[np.ndarray, "2 2"]) -> Any:
+def fix_message(ns: int, place: Float[np.ndarray, "3"], cov: Float[np.ndarray, "2 2"]) -> Any:
     known = bool(np.isfinite(cov).all())
     full = np.zeros((3, 3))
     full[:2, :2] = cov if known else 0.0

@@ -1,8 +1,9 @@
-"""Ranges between radios and odometry from ROS recordings.
+"""Ranges between radios, odometry and position fixes from ROS recordings.
 
 Who ranged to whom: the last two names with a number in the topic (`/uwb/tof/n_2/n_3/distance`: n_2 and n_3), or one in
 the topic and one in the message's `frame_id` (`/robot1/uwb` with `anchor7`). A radio is on the robot of its own name,
-or of its own number where every robot's number is a radio's; a radio on no robot is a beacon.
+or of its own number where every robot's number is a radio's; a radio on no robot is a beacon. Fixes are of the robot
+whose name stands in the topic's namespace, or whose number does where no two robots have one.
 """
 
 import re
@@ -11,16 +12,19 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from ..core.errors import ReaderError, UsageError
 from ..core.findings import Finding, Unused
+from ..core.fixes import Fixes
 from ..core.names import in_order
 from ..core.records import Track
 from ..ranges.log import RangeLog
 from .bag import Bag, bag_hash, open_bag, stamp
-from .bag_robots import TF
+from .bag_robots import FIXES, TF
+from .fixes import NAVSAT, POSES, fix_row, positions_read, read_fixes, topics_of_fixes, why_no_fixes
 from .laser_logs import is_bag
-from .mcap import Message, header_message, message_type, nanoseconds, odometry_message, write_messages
+from .mcap import Message, fix_message, header_message, message_type, nanoseconds, odometry_message, write_messages
 from .transforms import Transforms, frame, planar, rigid
 
 RANGE, ODOMETRY = "sensor_msgs/msg/Range", "nav_msgs/msg/Odometry"
@@ -37,20 +41,26 @@ def is_range_bag(path: Path) -> bool:
     return RANGE in held and ODOMETRY in held and "sensor_msgs/msg/LaserScan" not in held
 
 
-def read_range_bag(path: Path, radios: Mapping[str, str] | None = None) -> RangeLog:
-    """Odometry of every robot and all ranges; radios: radio -> the robot it is on, where names do not say it.
+def read_range_bag(path: Path, radios: Mapping[str, str] | None = None, fixes: str | None = None) -> RangeLog:
+    """Odometry of every robot, all ranges, and fixes of robots that have such.
 
-    Raises ReaderError where no topic names a pair, or where it cannot be told which radio is on which robot.
+    radios: radio -> the robot it is on, where names do not say it; fixes: topics that tell where robots were, by
+    default satellites alone. Raises ReaderError where no topic names a pair, where it cannot be told which radio is on
+    which robot, and for topics of fixes that are not there.
     """
-    bag = open_bag(path, (RANGE, ODOMETRY, *TF))
+    bag = open_bag(path, (RANGE, ODOMETRY, *TF, *FIXES))
     wheels = _odometry_topics(bag)
     topics = [topic for topic in bag.topics(RANGE) if bag.counts.get(topic)]
-    stamps: dict[str, list[tuple[float, float]]] = {topic: [] for topic in (*topics, *wheels)}
+    own = _topics_of_receivers(bag, tuple(wheels.values()))
+    receivers = {t: robot for robot, mine in own.items() for t in topics_of_fixes(path, mine, bag.kinds, fixes)}
+    stamps: dict[str, list[tuple[float, float]]] = {topic: [] for topic in (*topics, *wheels, *receivers)}
+    fixed: dict[str, list[tuple[float, ...] | str]] = {topic: [] for topic in receivers}
     poses: dict[str, list[tuple[float, float, float]]] = {topic: [] for topic in wheels}
     rows: list[_Row] = []
-    tf, base, stands = Transforms(), dict[str, str](), dict[str, str]()  # frames of robots and of radios
+    # frames of robots, of radios and receivers
+    tf, base, stands = Transforms(), dict[str, str](), dict[str, str]()
     mounts = bag.topics(*TF)
-    for topic, ns, message in bag.messages({*topics, *wheels, *mounts}):
+    for topic, ns, message in bag.messages({*topics, *wheels, *mounts, *receivers}):
         if topic in mounts:
             for transform in message.transforms:
                 tf.add(stamp(transform.header, ns), transform)
@@ -58,6 +68,9 @@ def read_range_bag(path: Path, radios: Mapping[str, str] | None = None) -> Range
         if topic in poses:
             base.setdefault(wheels[topic], frame(message.child_frame_id))
             poses[topic].append(planar(rigid(message.pose.pose.position, message.pose.pose.orientation)))
+        elif topic in receivers:
+            stands.setdefault(topic, frame(message.header.frame_id))
+            fixed[topic].append(fix_row(len(stamps[topic]), message))
         else:
             a, b = _pair(path, topic, message.header.frame_id)
             stands.setdefault(a, frame(message.header.frame_id))
@@ -78,13 +91,19 @@ def read_range_bag(path: Path, radios: Mapping[str, str] | None = None) -> Range
         for radio, robot in on.items()
         if radio in stands and (there := tf.rigid_pose(base[robot], stands[radio])) is not None
     }
-    read = {*topics, *(topic for topic in wheels if wheels[topic] in tracks), *(mounts if antennas else ())}
+    told_at = {
+        robot: _fixes(clock(topic), fixed[topic], topic, bag.kinds[topic], stands[topic], tf, base[robot])
+        for topic, robot in receivers.items()
+        if robot in tracks and fixed[topic]
+    }
+    read = {*topics, *receivers, *(topic for topic in wheels if wheels[topic] in tracks), *(mounts if antennas else ())}
     unused = tuple(
-        Unused(str(path), topic, kind, bag.counts[topic], _why(kind))
+        Unused(str(path), topic, kind, bag.counts[topic], _why(topic, kind, own))
         for topic, kind in sorted(bag.kinds.items())
         if bag.counts.get(topic) and topic not in read
     )
     findings = [*([note] if note else []), *notes]
+    findings += [positions_read(topic, robot) for topic, robot in receivers.items() if bag.kinds[topic] in POSES]
     if bag.lost:
         findings.append(Finding("log-short", value=f"{path.name}: {bag.lost}", action="they are used"))
     return RangeLog(
@@ -95,6 +114,7 @@ def read_range_bag(path: Path, radios: Mapping[str, str] | None = None) -> Range
         np.array([t[row.topic][row.k] for row in rows]),
         np.array([row.z for row in rows]),
         antennas=antennas,
+        fixes={robot: found for robot, found in told_at.items() if found is not None},
         source=str(path),
         log_hash=bag_hash(path),
         unused=unused,
@@ -183,11 +203,39 @@ def _robots_of_radios(
     return on, Finding("radios-assumed", value=told)
 
 
-def _why(kind: str) -> str:
+def _topics_of_receivers(bag: Bag, robots: Sequence[str]) -> dict[str, list[str]]:
+    """Robot -> topics of fixes on it, the fullest first."""
+    number = {robot: int(told[-1]) for robot in robots if (told := re.findall(r"[0-9]+", robot))}
+    out: dict[str, list[str]] = {robot: [] for robot in robots}
+    for topic in bag.topics(*FIXES):
+        inside = [robot for robot in robots if f"/{robot}/" in f"/{topic.strip('/')}"]
+        named = {int(re.findall(r"[0-9]+", name)[-1]) for name in NAME.findall(topic)}
+        alike = [robot for robot in robots if number.get(robot) in named]
+        own = inside or (alike if len(set(number.values())) == len(robots) else []) or list(robots)
+        if bag.counts.get(topic) and len(own) == 1:
+            out[own[0]].append(topic)
+    return out
+
+
+def _fixes(
+    t: Float[np.ndarray, " k"],
+    rows: Sequence[tuple[float, ...] | str],
+    topic: str,
+    kind: str,
+    header_frame: str,
+    tf: Transforms,
+    base: str,
+) -> Fixes | None:
+    """The fixes of a topic whose k-th message was at t[k]; rows: of `fix_row`, k in place of the time."""
+    timed = [row if isinstance(row, str) else (float(t[int(row[0])]), *row[1:]) for row in rows]
+    return read_fixes(timed, topic, kind, header_frame, tf, base)
+
+
+def _why(topic: str, kind: str, receivers: Mapping[str, Sequence[str]]) -> str:
     if kind == ODOMETRY:
         return "fewer than two messages, or another odometry of the robot is read"
-    if kind == "geometry_msgs/msg/PoseStamped":
-        return "poses by others (motion capture) are no measurement of the robots: never read by map"
+    if kind in FIXES:
+        return why_no_fixes(topic, kind, [t for mine in receivers.values() for t in mine])
     return "no reader for this type"
 
 
@@ -195,12 +243,16 @@ def write_range_bag(
     path: Path,
     odometry: Mapping[str, Track],
     ranges: Sequence[tuple[str, str, np.ndarray, np.ndarray]],
+    fixes: Mapping[str, Fixes] | None = None,
 ) -> None:
     """`path` is an MCAP recording of every robot's odometry and, for each pair (a, b, t [s], z [m]), its ranges.
+
+    And of satellite fixes, of robots that have such.
 
     Names hold a number each, so that `read_range_bag` finds them again in the topics.
     """
     types = {f"/{robot}/odom": ODOMETRY for robot in odometry} | {_topic(a, b): RANGE for a, b, _, _ in ranges}
+    types |= {f"/{robot}/fix": NAVSAT for robot in fixes or {}}
 
     def messages() -> Iterator[Message]:
         for robot, track in odometry.items():
@@ -209,6 +261,9 @@ def write_range_bag(
         for a, b, stamps, z in ranges:
             for t, metres in zip(stamps, z, strict=True):
                 yield nanoseconds(t), _topic(a, b), _range_message(nanoseconds(t), a, float(metres))
+        for robot, told in (fixes or {}).items():
+            for t, place, cov in zip(told.t, told.place, told.cov, strict=True):
+                yield nanoseconds(t), f"/{robot}/fix", fix_message(nanoseconds(t), place, cov)
 
     write_messages(path, types, messages(), ())
 

@@ -143,13 +143,19 @@ def _sighted(m: LaserMap, fixes: Fixes, datum: Float[np.ndarray, "3"] | None) ->
     order = np.argsort(t, kind="stable")
     host = np.concatenate([np.arange(len(graph)), graph.revisits.at])[order]
     step = np.concatenate([np.zeros((len(graph), 3)), graph.revisits.step])[order]
-    t = t[order]
-    after = np.clip(np.searchsorted(t, fixes.t), 1, len(t) - 1) if len(t) > 1 else np.zeros(len(fixes), np.int64)
-    nearest = np.where(np.abs(t[after - 1] - fixes.t) < np.abs(t[after] - fixes.t), after - 1, after)
-    there, here = (se2.interpolate(at, m.track.t, m.track.pose) for at in (t[nearest], fixes.t))
-    way = se2.compose(step[nearest], se2.between(there, here))
-    arm = se2.act(way, np.broadcast_to(fixes.antenna, (len(fixes), 2)))
+    nearest, way = from_nearest(t[order], m.track, fixes.t)
+    arm = se2.act(se2.compose(step[nearest], way), np.broadcast_to(fixes.antenna, (len(fixes), 2)))
     return Sighted(m.robot, fixes, host[nearest], np.asarray(arm), fixes.xy(datum))
+
+
+def from_nearest(
+    t: Float[np.ndarray, " n"], track: Track, at: Float[np.ndarray, " k"]
+) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k 3"]]:
+    """Which of t [s], ascending, each of `at` [s] is nearest to, and the motion from there along `track`."""
+    after = np.clip(np.searchsorted(t, at), 1, len(t) - 1) if len(t) > 1 else np.zeros(len(at), np.int64)
+    nearest = np.where(np.abs(t[after - 1] - at) < np.abs(t[after] - at), after - 1, after)
+    there, here = (se2.interpolate(when, track.t, track.pose) for when in (t[nearest], at))
+    return nearest, np.asarray(se2.between(there, here))
 
 
 def _alone(m: LaserMap, sighted: Sighted) -> Laid | None:

@@ -3,8 +3,11 @@
 Every pair of radios has a bias and a noise of its own, estimated from its residuals. Ranges past a wall or a person are
 too long by metres: they fade by a redescending kernel, and are counted. Errors of ranges last (they follow how antennas
 face each other), so that a range counts by as much less as they last longer than a range.
+
+Position fixes are one more factor of the same problem, which then lies in their world.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +16,7 @@ from jaxtyping import Bool, Float, Int
 from ..core import se2
 from ..solve import (
     Cauchy,
+    Factor,
     GemanMcClure,
     Information,
     Kernel,
@@ -23,7 +27,18 @@ from ..solve import (
     minimise,
     wrapping,
 )
-from .factors import columns_of, common_factor, geometry, motion_factor, number_factor, prior_factor, range_factor
+from .factors import (
+    PRUNED,
+    columns_of,
+    common_factor,
+    geometry,
+    lasting,
+    motion_factor,
+    number_factor,
+    prior_factor,
+    range_factor,
+)
+from .fixes import FAR2, Laid, Sights, lay_among
 from .network import Bodies, Motions, Priors, RangeNetwork, Ranges, bodies_of
 from .start import LEAD, BodyLayout, lay_out
 
@@ -35,16 +50,15 @@ SPREAD = 0.15  # [m] of the biases beside what they have in common, before they 
 FEW = 3  # pairs that tell it, at least
 ANY_HEADING = 2.0  # [rad] sd of a heading that nothing tells
 TO_SD = 1.4826  # times half the width of its densest half is the sd of a Gaussian
-PRUNED = 3  # times that noise is told from those that are not far
 FAR = 3.0  # [sd] from which a range is taken for one that went another way
 WITHIN_FAR = 1.0136  # times what scatters within it is the sd of a Gaussian
 WIDE = Cauchy(2.0)  # while the noise is still a guess
 TIGHT = GemanMcClure(3.0)
 # Noise and biases are estimated and all is solved again, with these kernels; at the end without those that are far.
 ROUNDS: tuple[Kernel | None, ...] = (WIDE, TIGHT, TIGHT, None, None)
+AMONG_FIXES: tuple[Kernel | None, ...] = (WIDE, None)  # the same, where ranges alone have told the noise
 LEFT_OUT = 1e6  # times its sd: a range that is left out
 MOST_TIED = 4  # layouts that are worked out whole, to see which explains the ranges best
-LONGEST = 50  # ranges of a pair over which an error may last
 SOLVE = SolveConfig(max_iterations=30, damping=1e-4, step_tolerance=1e-5, cost_tolerance=1e-6)
 
 
@@ -67,9 +81,10 @@ class Radio:
 @dataclass(frozen=True, slots=True)
 class PlacedPart:
     """What ranges and motions tie: `nodes` (m,) of the network, `first` of which holds the frame, or None where priors
-    do; pose: (m, 3); cov: (m, 3, 3), without priors of the frame that fits all places best; beacon_cov: (2b, 2b), of
+    do; pose: (m, 3); cov: (m, 3, 3), without priors in the frame that fits all places best; beacon_cov: (2b, 2b), of
     its b beacons together; mirrored: other ways in which it may lie that explain the ranges as well; still: robots
-    whose heading nothing tells.
+    whose heading nothing tells; laid: by fixes, then poses are in their world; frame_cov: (3, 3) how sure all lies
+    there, at its origin.
     """
 
     nodes: Int[np.ndarray, " m"]
@@ -80,6 +95,8 @@ class PlacedPart:
     converged: bool
     mirrored: tuple[Float[np.ndarray, "m 3"], ...]
     still: tuple[str, ...]
+    laid: Laid | None = None
+    frame_cov: Float[np.ndarray, "3 3"] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +123,7 @@ def estimate(net: RangeNetwork) -> RangeEstimate:
     robots = set(np.unique(bodies.of[~net.is_beacon]).tolist())
     while robots & set(waiting):
         start = lay_out(net, bodies, waiting)
-        solved = sorted((_solved(net, bodies, layout) for layout in start.layouts[:MOST_TIED]), key=lambda s: s.cost)
+        solved = sorted((_of_layout(net, bodies, layout) for layout in start.layouts[:MOST_TIED]), key=lambda s: s.cost)
         best = solved[0]
         others = [s.pose for s in solved[1:] if s.cost < best.cost + LEAD and s.differs(best)]
         parts.append(best.part(tuple(others)))
@@ -114,7 +131,7 @@ def estimate(net: RangeNetwork) -> RangeEstimate:
         residual[best.rows], far[best.rows] = best.noise.residual, best.noise.far
         loose |= start.loose
         waiting = [body for body in waiting if body not in start.layouts[0].frames]
-    parts.sort(key=lambda part: (-len(np.unique(net.owner[part.nodes])), int(part.nodes[0])))
+    parts.sort(key=_largest_first(net))
     apart = {net.everybody[net.owner[k]] for part in parts[1:] for k in part.nodes.tolist()}
     told = {net.everybody[net.owner[np.argmax(bodies.of == body)]]: why for body, why in loose.items()}
     lost = {net.everybody[net.owner[np.argmax(bodies.of == body)]] for body in waiting}
@@ -122,6 +139,73 @@ def estimate(net: RangeNetwork) -> RangeEstimate:
         tuple(parts), tuple(radios), residual, far,
         {name: told.get(name, "no ranges to anybody") for name in net.everybody if name in apart | lost},
     )  # fmt: skip
+
+
+def laid_parts(
+    net: RangeNetwork,
+    found: RangeEstimate,
+    parts: Sequence[PlacedPart],
+    poses: Sequence[Float[np.ndarray, "_ 3"]],
+    sights: Sights,
+    others: Sequence[tuple[int, Float[np.ndarray, "_ 3"]]] = (),
+) -> RangeEstimate | None:
+    """`found` with `parts` of it as one, in the world of `sights`, whose nodes are the network's; None if not held.
+
+    poses: about where each part lies there; others: which part may lie elsewhere too, and where.
+    """
+    nodes = np.concatenate([part.nodes for part in parts])
+    order = np.argsort(nodes)
+    solved = _solved(net, bodies_of(net), nodes[order], np.concatenate(poses)[order], found, sights)
+    if solved is None:
+        return None
+    mirrored = []
+    for k, pose in others:
+        mirrored.append(solved.pose.copy())
+        mirrored[-1][np.isin(nodes[order], parts[k].nodes)] = pose
+    part, ours = solved.part(tuple(mirrored)), solved.radios()
+    pairs = {(radio.a, radio.b) for radio in ours}
+    residual, far = found.residual.copy(), found.far.copy()
+    residual[solved.rows], far[solved.rows] = solved.noise.residual, solved.noise.far
+    gone = {id(one) for one in parts}
+    all_parts = sorted([part, *(one for one in found.parts if id(one) not in gone)], key=_largest_first(net))
+    main = {net.everybody[k] for k in net.owner[all_parts[0].nodes].tolist()}
+    return RangeEstimate(
+        tuple(all_parts),
+        (*ours, *(radio for radio in found.radios if (radio.a, radio.b) not in pairs)),
+        residual,
+        far,
+        {
+            name: found.loose.get(name, "no ranges to those that fixes place")
+            for name in net.everybody
+            if name not in main
+        },
+    )
+
+
+def laid_as_fixes_fit(
+    net: RangeNetwork,
+    found: RangeEstimate,
+    part: PlacedPart,
+    poses: Sequence[Float[np.ndarray, "_ 3"]],
+    sights: Sights,
+) -> list[int]:
+    """Which of `poses` of a part, about where it may lie in the world, explain its fixes: the best first, and those
+    that do as well.
+    """
+    costs: dict[int, float] = {}
+    for k, pose in enumerate(poses):
+        tried = laid_parts(net, found, (part,), (pose,), sights)
+        one = None if tried is None else next(one for one in tried.parts if one.laid is not None)
+        if one is not None and one.laid is not None:
+            n = np.bincount(sights.of, minlength=len(one.laid.receivers.scale)) / one.laid.receivers.lasting
+            far = np.bincount(sights.of[one.laid.far], minlength=len(n)) / one.laid.receivers.lasting
+            # less twice the logarithm of the likelihood, in which a fix has two coordinates of a noise that is found
+            costs[k] = one.laid.solution.cost + float((4 * n * np.log(one.laid.receivers.scale) + FAR2 * far).sum())
+    return sorted((k for k in costs if costs[k] < min(costs.values()) + LEAD), key=costs.__getitem__)
+
+
+def _largest_first(net: RangeNetwork) -> Callable[[PlacedPart], tuple[int, int]]:
+    return lambda part: (-len(np.unique(net.owner[part.nodes])), int(part.nodes[0]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,6 +255,7 @@ class _Solved:
     bias_sd: Float[np.ndarray, " p"]
     noise: _Noise
     solution: Solution
+    laid: Laid | None
 
     @property
     def cost(self) -> float:
@@ -183,11 +268,11 @@ class _Solved:
     def part(self, mirrored: tuple[np.ndarray, ...]) -> PlacedPart:
         n, beacon = len(self.nodes), self.net.is_beacon[self.nodes]
         at = (3 * np.flatnonzero(beacon)[:, None] + np.arange(2)).ravel()
-        cov, joint = np.full((n, 3, 3), np.nan), np.full((len(at), len(at)), np.nan)
+        cov, joint, frame = np.full((n, 3, 3), np.nan), np.full((len(at), len(at)), np.nan), None
         if self.solution.information is not None:
             cov, joint = self.solution.blocks(columns_of(np.arange(n))), self.solution.covariance(at)
             if self.first is not None:
-                cov, joint = self._about_all(self.solution.information, cov, at, joint)
+                cov, joint, frame = self._about_all(self.solution.information, cov, at, joint)
         still = np.unique(self.net.owner[self.nodes[self.unturned & ~beacon]]).tolist()
         return PlacedPart(
             nodes=self.nodes,
@@ -198,12 +283,16 @@ class _Solved:
             converged=self.solution.converged,
             mirrored=mirrored,
             still=tuple(self.net.robots[k] for k in still),
+            laid=self.laid,
+            frame_cov=None if self.laid is None else frame,
         )
 
     def _about_all(
         self, information: Information, cov: np.ndarray, at: Int[np.ndarray, " c"], joint: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The covariances `cov` of all nodes and `joint` of the entries `at`, in the frame that fits all places best.
+
+        And that of this frame, which is where the whole lies as fixes tell it.
 
         Nothing says where a team without priors lies. Seen from one pose, whose heading odometry tells to a degree or
         two, everything a few metres away is unsure by decimetres, and all alike; that is no error of the map. An
@@ -224,7 +313,7 @@ class _Solved:
         out = cov - across - across.swapaxes(1, 2) + G @ C @ G.swapaxes(1, 2)
         row = G.reshape(-1, 3)[at]
         mixed = V[at] @ row.T
-        return out, joint - mixed - mixed.T + row @ C @ row.T
+        return out, joint - mixed - mixed.T + row @ C @ row.T, C
 
     def radios(self) -> list[Radio]:
         who = self.net.everybody
@@ -243,32 +332,47 @@ class _Solved:
         ]
 
 
-def _solved(net: RangeNetwork, bodies: Bodies, layout: BodyLayout) -> _Solved:
-    """The team worked out from `layout`, noise and biases of the radios with it."""
+def _of_layout(net: RangeNetwork, bodies: Bodies, layout: BodyLayout) -> _Solved:
+    """The team worked out from `layout`."""
     nodes = np.flatnonzero(np.isin(bodies.of, list(layout.frames)))
+    frames = np.zeros((len(bodies.turns), 3))
+    frames[list(layout.frames)] = np.array(list(layout.frames.values()))
+    solved = _solved(net, bodies, nodes, se2.compose(frames[bodies.of[nodes]], bodies.pose[nodes]))
+    assert solved is not None  # noqa: S101  (only fixes may fail to hold it)
+    return solved
+
+
+def _solved(
+    net: RangeNetwork,
+    bodies: Bodies,
+    nodes: Int[np.ndarray, " n"],
+    start: Float[np.ndarray, "n 3"],
+    known: RangeEstimate | None = None,
+    sights: Sights | None = None,
+) -> _Solved | None:
+    """`nodes` worked out from where they `start`, noise and biases of the radios with it.
+
+    known: what was found without `sights`; with them it lies in their world, or is None where they do not hold it.
+    """
     place = np.full(len(net.owner), -1)
     place[nodes] = np.arange(len(nodes))
     rows = np.flatnonzero((place[net.ranges.a] >= 0) & (place[net.ranges.b] >= 0))
-    r, m, p = net.ranges.select(rows), net.motions, net.priors
+    r = net.ranges.select(rows)
     r = replace(r, a=place[r.a], b=place[r.b])
-    here, held = place[m.first] >= 0, place[p.node] >= 0
-    motions = Motions(place[m.first[here]], place[m.second[here]], m.z[here], m.cov[here])
-    priors = Priors(place[p.node[held]], p.z[held], p.cov[held])
+    terms, held = _ties(net, place)
     names, of_all = net.pairs()
     there, which = np.unique(of_all[rows], return_inverse=True)
     n, pairs, beacon = len(nodes), len(there), net.is_beacon[nodes]
     biases, of = 3 * n + np.arange(pairs), bodies.of[nodes]
-    frames = np.zeros((len(bodies.turns), 3))
-    frames[list(layout.frames)] = np.array(list(layout.frames.values()))
     common = 3 * n + pairs  # what the biases have in common
-    x = np.append(se2.compose(frames[of], bodies.pose[nodes]).ravel(), np.zeros(pairs + 1))
+    x = np.append(start.ravel(), np.zeros(pairs + 1))
     fixed = np.zeros(len(x), bool)
     fixed[3 * np.flatnonzero(beacon) + 2] = True
-    first = None if held.any() else int(np.argmin(beacon))
-    if first is not None:
+    first = None if held else int(np.argmin(beacon))
+    if first is not None and sights is None:
         fixed[3 * first : 3 * first + 3] = True
-    terms = [*([motion_factor(motions)] if here.any() else []), *([prior_factor(priors)] if held.any() else [])]
-    begins = np.array([k for k in np.unique(of, return_index=True)[1] if k != first and not beacon[k]], np.int64)
+    heads = np.unique(of, return_index=True)[1]
+    begins = np.array([k for k in heads if not (beacon[k] or (k == first and sights is None))], np.int64)
     if len(begins):  # the heading of one that stands is anything, and the problem stays regular
         terms.append(number_factor(3 * begins + 2, x[3 * begins + 2], ANY_HEADING, "headings"))
     angles = wrapping(3 * np.arange(n) + 2)
@@ -276,35 +380,74 @@ def _solved(net: RangeNetwork, bodies: Bodies, layout: BodyLayout) -> _Solved:
     fixed[common] = stated.all()
     terms.append(number_factor(np.array([common]), np.zeros(1), BIAS_SD, "common bias"))
     spread, pattern = SHRUNK if stated.all() else SPREAD, None
-    noise = _Noise(np.zeros(len(r)), np.zeros(len(r), bool), np.full(pairs, FIRST_SD), np.ones(pairs))
-    for kernel in ROUNDS:
+    noise, x[biases] = _known(net, known, names[there], rows)
+    ordered, laid, P = _order(fixed, beacon, pairs), None, None
+    for kernel in ROUNDS if sights is None else AMONG_FIXES:
         sd = np.where(stated, r.sd, noise.sd[which]) * np.sqrt(noise.lasting[which])
         if kernel is None:
             sd[noise.far] *= LEFT_OUT
         ranges = range_factor(r, biases[which], sd, kernel)
-        problem = Problem(x, [*terms, ranges, common_factor(biases, common, spread)], fixed, angles)
-        pattern = pattern or _pattern(problem, beacon, pairs)
-        solution = minimise(problem, SOLVE, pattern)
+        every = [*terms, ranges, common_factor(biases, common, spread)]
+        if sights is None:
+            problem = Problem(x, every, fixed, angles)
+            pattern = pattern or ordered(Pattern.of(problem))
+            solution = minimise(problem, SOLVE, pattern)
+        else:
+            laid = lay_among(x, n, every, replace(sights, node=place[sights.node]), fixed, ordered)
+            if laid is None:
+                return None
+            solution = laid.solution
         x = solution.x
         pose, bias = x[: 3 * n].reshape(-1, 3), x[biases]
         P = solution.covariance(np.append(biases, common)) if solution.information is not None else None
         if P is not None and not stated.all() and pairs >= FEW:
-            apart = np.diag(P)[:-1] + P[-1, -1] - 2 * P[:-1, -1]
-            spread = max(SHRUNK, float(np.sqrt(np.mean(np.square(bias - x[common]) + apart))))
+            spread = _spread_of(bias - x[common], P)
         noise = _Noise.of(r, which, pairs, r.z - geometry(r, pose)[0] - bias[which])
     bias_sd = np.full(pairs, np.nan) if P is None else np.sqrt(np.diag(P)[:-1])
-    unturned = ~bodies.turns[of] & (len(layout.frames) > 1)
+    unturned = ~bodies.turns[of] & (len(heads) > 1 or sights is not None)
     return _Solved(
-        net, nodes, rows, names[there], which, first, unturned, pose, bias, bias_sd, noise, solution
+        net, nodes, rows, names[there], which, first, unturned, pose, bias, bias_sd, noise, solution, laid
     )  # fmt: skip
 
 
-def _pattern(problem: Problem, beacon: Bool[np.ndarray, " n"], pairs: int) -> Pattern:
+def _spread_of(off: Float[np.ndarray, " p"], P: Float[np.ndarray, "q q"]) -> float:
+    """[m] of biases `off` what they have in common; P: covariance of biases and, last, of that."""
+    apart = np.diag(P)[:-1] + P[-1, -1] - 2 * P[:-1, -1]
+    return max(SHRUNK, float(np.sqrt(np.mean(np.square(off) + apart))))
+
+
+def _ties(net: RangeNetwork, place: Int[np.ndarray, " m"]) -> tuple[list[Factor], bool]:
+    """Motions and priors of the nodes that have a `place`, and whether there are priors."""
+    m, p = net.motions, net.priors
+    here, held = place[m.first] >= 0, place[p.node] >= 0
+    terms = []
+    if here.any():
+        terms.append(motion_factor(Motions(place[m.first[here]], place[m.second[here]], m.z[here], m.cov[here])))
+    if held.any():
+        terms.append(prior_factor(Priors(place[p.node[held]], p.z[held], p.cov[held])))
+    return terms, bool(held.any())
+
+
+def _known(
+    net: RangeNetwork, found: RangeEstimate | None, names: Int[np.ndarray, "p 2"], rows: Int[np.ndarray, " k"]
+) -> tuple[_Noise, Float[np.ndarray, " p"]]:
+    """The noise of the ranges `rows`, of the pairs `names`, as they were found, if so, and the pairs' biases [m]."""
+    pairs, k = len(names), len(rows)
+    if found is None:
+        return _Noise(np.zeros(k), np.zeros(k, bool), np.full(pairs, FIRST_SD), np.ones(pairs)), np.zeros(pairs)
+    radios = {(radio.a, radio.b): radio for radio in found.radios}
+    told = [radios.get((net.everybody[a], net.everybody[b])) for a, b in names.tolist()]
+    each = [(0.0, FIRST_SD, 1.0) if radio is None else (radio.bias, radio.sd, radio.lasting) for radio in told]
+    bias, sd, long = np.array(each).reshape(-1, 3).T
+    return _Noise(found.residual[rows], found.far[rows], sd, long), bias
+
+
+def _order(fixed: Bool[np.ndarray, " m"], beacon: Bool[np.ndarray, " n"], pairs: int) -> Callable[[Pattern], Pattern]:
     """Trajectories eliminated first, beacons and biases last: they touch most of all."""
     n = len(beacon)
-    group = np.concatenate([np.repeat(np.arange(n), 3), n + np.arange(pairs + 1)])
-    last = np.concatenate([np.repeat(beacon, 3), np.ones(pairs + 1, bool)])
-    return Pattern.of(problem).least_fill(group[problem.free], last[problem.free])
+    group = np.concatenate([np.repeat(np.arange(n), 3), n + np.arange(pairs + 1)])[~fixed]
+    last = np.concatenate([np.repeat(beacon, 3), np.ones(pairs + 1, bool)])[~fixed]
+    return lambda pattern: pattern.least_fill(group, last)
 
 
 def _densest_half(e: Float[np.ndarray, " n"]) -> tuple[float, float]:
@@ -317,18 +460,3 @@ def _densest_half(e: Float[np.ndarray, " n"]) -> tuple[float, float]:
     width = e[h - 1 :] - e[: len(e) - h + 1]
     k = int(np.argmin(width))
     return float(0.5 * (e[k] + e[k + h - 1])), float(0.5 * width[k])
-
-
-def lasting(e: Float[np.ndarray, " n"]) -> float:
-    """For how many of n errors in order of time one lasts: one more than twice the sum of correlations, 1 or more."""
-    if len(e) < 2 * LONGEST:
-        return 1.0
-    e = e - e.mean()
-    power = float(e @ e)
-    total = 1.0
-    for lag in range(1, LONGEST):
-        rho = float(e[lag:] @ e[:-lag]) / power
-        if rho < 0.05:
-            break
-        total += 2.0 * rho
-    return total

@@ -1,4 +1,4 @@
-"""Ranges, motions and priors as factors over nodes [x, y, theta] and a bias [m] a pair of radios."""
+"""Ranges, motions and priors as factors over nodes [x, y, theta] and a bias [m] a pair of radios; how errors last."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -6,6 +6,9 @@ from jaxtyping import Float, Int
 from ..core import se2
 from ..solve import Factor, Kernel
 from .network import Motions, Priors, Ranges
+
+PRUNED = 3  # times that noise is told from those that are not far
+LONGEST = 50  # ranges of a pair, or fixes, over which an error may last
 
 
 def columns_of(node: Int[np.ndarray, " m"]) -> Int[np.ndarray, "m 3"]:
@@ -86,3 +89,18 @@ def common_factor(at: Int[np.ndarray, " k"], common: int, sd: float) -> Factor:
     columns = np.column_stack([at, np.full(len(at), common)])
     unit, white = np.tile([[1.0, -1.0]], (len(at), 1, 1)), np.full((len(at), 1), 1.0 / sd)
     return Factor(columns, lambda x: (x[at] - x[common])[:, None], lambda _: unit, 1, white, None, "biases")
+
+
+def lasting(e: Float[np.ndarray, " n"]) -> float:
+    """For how many of n errors in order of time one lasts: one more than twice the sum of correlations, 1 or more."""
+    if len(e) < 2 * LONGEST:
+        return 1.0
+    e = e - e.mean()
+    power = float(e @ e)
+    total = 1.0
+    for lag in range(1, LONGEST):
+        rho = float(e[lag:] @ e[:-lag]) / power
+        if rho < 0.05:
+            break
+        total += 2.0 * rho
+    return total

@@ -14,8 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from ..core import se2
 from ..solve import Cauchy, Factor, Kernel, Pattern, Problem, Solution, SolveConfig, minimise, wrapping
-from .estimate import PRUNED, lasting
-from .factors import columns_of, motion_factor
+from .factors import PRUNED, columns_of, lasting, motion_factor
 from .network import Motions
 
 FEWEST = 5  # fixes that lay a trajectory

@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 
 from ..core import se2
 from ..core.findings import Finding, Unused
+from ..core.fixes import Fixes
 from ..core.names import in_order
 from ..core.records import Track
 from .network import Motions, Priors, RangeNetwork, Ranges
@@ -24,7 +25,7 @@ class RangeLog:
     """odometry: robot -> its track in a frame of its own; a, b: (k,) who ranged to whom, into `names`, robots first;
 
     t: (k,) [s]; z: (k,) [m]; antennas: name -> where its antenna stands on the robot [m, m]; known: beacons whose
-    place is known, with their sd [m]; dropped: reason -> rows.
+    place is known, with their sd [m]; fixes: of robots; dropped: reason -> rows.
     """
 
     odometry: Mapping[str, Track]
@@ -35,6 +36,7 @@ class RangeLog:
     z: Float[np.ndarray, " k"]
     antennas: Mapping[str, Float[np.ndarray, "2"]] = field(default_factory=dict)
     known: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    fixes: Mapping[str, Fixes] = field(default_factory=dict)
     dropped: Mapping[str, int] = field(default_factory=dict)
     source: str = ""
     log_hash: str = ""

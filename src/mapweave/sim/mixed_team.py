@@ -14,11 +14,24 @@ from jaxtyping import Float
 from ..core import se2
 from ..core.config import config
 from ..core.errors import UsageError, expect_at_most
+from ..core.fixes import Fixes
 from ..core.laser_log import LaserLog
 from ..core.records import Scan, Track, frozen
 from ..kernels.walls.raycast import cast
 from .landmarks import FRAME, START, TRUTH_STEP, Drive, camera_frames, command_rows, drive_team, scattered
-from .laser import DriftConfig, LaserWorld, Reflectance, Scanner, WallStyle, WorldBuilder, drifted, measure, stream
+from .laser import (
+    DriftConfig,
+    LaserWorld,
+    Reflectance,
+    Scanner,
+    WallStyle,
+    WorldBuilder,
+    drifted,
+    measure,
+    placed,
+    simulated_fixes,
+    stream,
+)
 
 EVERY = 0.2  # [s] from one range of a pair to its next
 NOISE = 0.05  # [m] sd of a range
@@ -93,7 +106,8 @@ class MixedWorld:
     calibration: `real` draws wheels and cameras as a real team's, `random` as a careless workshop leaves them; clock:
     [s] sd of each laser log's clock; everything: every robot carries all that any of them does, on the same
     trajectories. ranges: every robot carries wheels and a ranging radio and nothing else, and so do `beacons` that
-    stand; nlos: the share of ranges that go round something.
+    stand; nlos: the share of ranges that go round something. fixes: [m] noise of satellite receivers on robots whose
+    log is a recording (lasers, radios), where there are such; the truth is east and north of one datum then.
     """
 
     lasers: int = 2
@@ -112,6 +126,7 @@ class MixedWorld:
     ranges: bool = False
     beacons: int = 0
     nlos: float = 0.0
+    fixes: float | None = None
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -137,6 +152,8 @@ class MixedWorld:
         if not 0.0 <= self.outliers <= 1.0:
             raise UsageError(f"--outliers is a share between 0 and 1, found {self.outliers}")
         self._check_radios()
+        if self.fixes is not None and not (self.ranges or self.lasers or self.everything):
+            raise UsageError("--fixes: only for robots with lasers or radios, whose logs are recordings")
         if self.calibration not in {"real", "random"}:
             raise UsageError(f"--calibration: expected real or random, found {self.calibration!r}")
 
@@ -191,7 +208,8 @@ class MixedRobot:
     """One robot's rows and truth.
 
     commands: (n, 3) t, v, w, or None; laser: its log, by its own clock, which is `clock` [s] ahead; truth: poses in the
-    frame of the world; drive: as it drove, with what nobody told the robot; odometry: of a robot with a radio.
+    frame of the world; drive: as it drove, with what nobody told the robot; odometry: of a robot with a radio; fixes:
+    of a robot with a receiver, by its laser's clock.
     """
 
     number: int
@@ -204,6 +222,7 @@ class MixedRobot:
     truth: Track
     drive: Drive
     odometry: Track | None = None
+    fixes: Fixes | None = None
 
     @property
     def name(self) -> str:
@@ -245,7 +264,27 @@ def simulate_mixed(world: MixedWorld, seed: int = 0) -> MixedRecording:
     if world.ranges:
         ways = {r.name: Track(START + r.drive.t, r.drive.pose) for r in robots}
         ranges = simulated_ranges(ways, places, world.noise, world.bias, world.nlos, stream(seed, "radios"))
-    return MixedRecording(robots, places, walls, ranges)
+    made = MixedRecording(robots, places, walls, ranges)
+    return made if world.fixes is None else _on_earth(made, world.fixes, seed)
+
+
+def _on_earth(made: MixedRecording, sd: float, seed: int) -> MixedRecording:
+    """The recording with receivers, its truth east and north of the datum that they tell of."""
+    T = placed(stream(seed, "fixes"))
+    robots = []
+    for robot in made.robots:
+        truth = replace(robot.truth, pose=np.asarray(se2.compose(T, robot.truth.pose)))
+        robots.append(replace(robot, truth=truth))
+        if robot.laser is not None or robot.carries.radio:
+            fixes = simulated_fixes(truth, sd, stream(seed, f"receiver {robot.number}"))
+            fixes = replace(fixes, t=fixes.t + robot.clock)
+            laser = None if robot.laser is None else replace(robot.laser, fixes=fixes)
+            robots[-1] = replace(robots[-1], laser=laser, fixes=fixes)
+    there = se2.act(T, np.array(list(made.landmarks.values())).reshape(-1, 2))
+    landmarks = {name: (float(x), float(y)) for name, (x, y) in zip(made.landmarks, there, strict=True)}
+    ends = np.asarray(made.walls.segments).reshape(-1, 2, 2)
+    walls = replace(made.walls, segments=np.asarray(se2.act(T, ends)).reshape(-1, 4))
+    return MixedRecording(tuple(robots), landmarks, walls, made.ranges)
 
 
 def _drives(

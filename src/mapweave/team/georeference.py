@@ -1,5 +1,7 @@
 """Teams laid where position fixes say: one more factor a fix in the problem of the whole team, which then lies in a
 world, bent by as much as fixes are surer than what was seen, and joined where nothing seen ties it.
+
+Teams of landmarks, mixed teams, and those that ranges place.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,7 +16,7 @@ from ..core.findings import Finding
 from ..core.fixes import Fixes
 from ..core.landmark_log import LandmarkLog
 from ..core.names import in_order
-from ..core.records import frozen
+from ..core.records import Track, frozen
 from ..landmarks.landmark_map import LandmarkMap
 from ..laser.robot_graph import RobotGraph
 from ..mapping.georeference import (
@@ -22,13 +24,17 @@ from ..mapping.georeference import (
     Sighted,
     contradicted,
     first_guess,
+    from_nearest,
     georeference_of,
     sights_of,
     told_of_log,
     told_of_map,
     world_of,
 )
-from ..ranges.fixes import FEWEST, Laid, lay_among
+from ..mapping.woven_map import Georeference
+from ..ranges.estimate import PlacedPart, RangeEstimate, laid_as_fixes_fit, laid_parts
+from ..ranges.fixes import FEWEST, Laid, Sights, lay_among, registered
+from ..ranges.network import RangeNetwork
 from ..solve import Factor
 from .config import SMOOTHING_SOFTEN, SmoothingConfig
 from .covariance import FLOOR, TeamCovariance, covariance_of_body, covariance_of_shape, weakened
@@ -308,3 +314,98 @@ def _told_at(cov: Float[np.ndarray, "3 3"], d: Float[np.ndarray, "2"]) -> Float[
     """The covariance of a body's place and turn, told of its point `d` from where it is told of."""
     J = np.array([[1.0, 0.0, -d[1]], [0.0, 1.0, d[0]], [0.0, 0.0, 1.0]])
     return np.asarray(J @ cov @ J.T)
+
+
+@dataclass(frozen=True, slots=True)
+class LaidRanges:
+    """estimate: with the parts that fixes lay as one; georeference: of that part, which is `laid`; findings: of robots'
+    fixes.
+    """
+
+    estimate: RangeEstimate
+    georeference: Georeference | None
+    findings: tuple[Finding, ...]
+
+
+def laid_ranges(
+    net: RangeNetwork, found: RangeEstimate, odometry: Mapping[str, Track], fixes: Mapping[str, Fixes]
+) -> LaidRanges:
+    """What ranges place laid in one world by the robots' fixes; those of `net` drove along `odometry`.
+
+    Of ways in which a part may lie that ranges fit alike, those that its fixes fit.
+    """
+    told = {r: fixes[r] for r in net.robots if r in fixes}
+    if len(net.priors.node):
+        return LaidRanges(found, None, tuple(Finding("fixes-unused", r, value=FRAME_GIVEN) for r in told))
+    span = {r: (float(odometry[r].t[0]), float(odometry[r].t[-1])) for r in told}
+    datum, frame, seen = world_of([(r, f, span[r]) for r, f in told.items()])
+    findings = [finding for r, f in told.items() for finding in told_of_log(r, f, span[r], frame, seen)]
+    sighted = {r: _on_nodes(net, r, odometry[r], f, datum) for r, f in seen.items()}
+    parts, poses, others, used = list[PlacedPart](), list[np.ndarray](), list[tuple[int, np.ndarray]](), list[Sighted]()
+    for part in found.parts:
+        mine = [sighted[r] for r in _robots(net, part) if r in sighted]
+        if not mine:
+            continue
+        sights = sights_of([(s, 0) for s in mine])
+        ways = [part.pose, *part.mirrored]
+        there = [se2.compose(registered(_seen(net, part, way, sights), sights.z)[0], way) for way in ways]
+        fit = [0] if len(ways) == 1 else laid_as_fixes_fit(net, found, part, there, sights) or [0]
+        T, why = first_guess(mine[0].robot, _seen(net, part, ways[fit[0]], sights), sights.z)
+        findings += why
+        if T is not None:
+            others += [(len(parts), there[k]) for k in fit[1:]]
+            parts.append(part)
+            poses.append(there[fit[0]])
+            used += mine
+    if not parts:
+        return LaidRanges(found, None, tuple(findings))
+    laid = laid_parts(net, found, parts, poses, sights_of([(s, 0) for s in used]), others)
+    whole = None if laid is None else next(part for part in laid.parts if part.laid is not None)
+    if laid is None or whole is None or whole.laid is None or whole.laid.far.mean() > MOSTLY:
+        return LaidRanges(found, None, (*findings, contradicted(used[0].robot, None if whole is None else whole.laid)))
+    georeference, sure = _world_of_ranges(net, whole, whole.laid, used, datum, frame)
+    names = [_robots(net, part) for part in parts]
+    return LaidRanges(laid, georeference, (*findings, *told_of_map(georeference, names, _robots(net, whole)[0], sure)))
+
+
+def _robots(net: RangeNetwork, part: PlacedPart) -> list[str]:
+    """In their order."""
+    return [net.robots[k] for k in np.unique(net.owner[part.nodes]).tolist() if k < len(net.robots)]
+
+
+def _on_nodes(
+    net: RangeNetwork, robot: str, track: Track, fixes: Fixes, datum: Float[np.ndarray, "3"] | None
+) -> Sighted:
+    """Each fix from the robot's node nearest to it in time."""
+    nodes = np.flatnonzero(net.owner == net.robots.index(robot))
+    k, way = from_nearest(net.t[nodes], track, fixes.t)
+    arm = se2.act(way, np.broadcast_to(fixes.antenna, (len(fixes), 2)))
+    return Sighted(robot, fixes, nodes[k], np.asarray(arm), fixes.xy(datum))
+
+
+def _seen(
+    net: RangeNetwork, part: PlacedPart, pose: Float[np.ndarray, "m 3"], sights: Sights
+) -> Float[np.ndarray, "k 2"]:
+    """Where the antennas are when the nodes of `part` stand at `pose`."""
+    every = np.full((len(net.owner), 3), np.nan)
+    every[part.nodes] = pose
+    return sights.at(every)
+
+
+def _world_of_ranges(
+    net: RangeNetwork,
+    part: PlacedPart,
+    laid: Laid,
+    sighted: Sequence[Sighted],
+    datum: Float[np.ndarray, "3"] | None,
+    frame: str,
+) -> tuple[Georeference, dict[str, Float[np.ndarray, "3 3"]]]:
+    """Where the part lies, seen from its lowest robot's first pose, and how sure each robot's first pose is there."""
+    pose, cov = np.full((len(net.owner), 3), np.nan), np.full((len(net.owner), 3, 3), np.nan)
+    pose[part.nodes], cov[part.nodes] = part.pose, laid.covariances() + FLOOR
+    robots = _robots(net, part)
+    tracks = {r: net.track(net.robots.index(r), pose, cov, "world") for r in robots}
+    assert part.frame_cov is not None  # noqa: S101  (a part that fixes lay has one)
+    T = tracks[robots[0]].pose[0]
+    g = georeference_of(datum, frame, T, _told_at(part.frame_cov, T[:2]), sighted, laid, tracks)
+    return g, {r: cov[part.nodes[np.argmax(net.owner[part.nodes] == net.robots.index(r))]] for r in robots}
