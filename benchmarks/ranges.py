@@ -9,11 +9,16 @@ free.
 """
 
 import os
+import sys
 from pathlib import Path
 from time import process_time
 
 import gtsam
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # logs are made as those of the tests
+
+from tests.ranges.worlds import log_of
 
 from mapweave.core import se2
 from mapweave.core.records import Track
@@ -25,7 +30,7 @@ from mapweave.io.range_bags import read_range_bag
 from mapweave.io.transforms import planar, rigid
 from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.ranges.estimate import PlacedPart, RangeEstimate, estimate
-from mapweave.ranges.log import RangeLog, network_of
+from mapweave.ranges.log import network_of
 from mapweave.ranges.network import RangeNetwork
 from mapweave.sim.mixed_team import MixedWorld, simulate_mixed
 
@@ -134,14 +139,7 @@ def simulated(nlos: float) -> None:
     ates, nees, cpus, far, net = [], [], [], [], None
     for seed in SEEDS:
         team = simulate_mixed(MixedWorld(ranges=True, beacons=BEACONS, nlos=nlos, minutes=MINUTES), seed)
-        odometry = {r.name: r.odometry for r in team.robots}
-        names = (*odometry, *team.landmarks)
-        a, b = (
-            np.concatenate([np.full(len(r.t), names.index(end)) for r, end in ends])
-            for ends in ([(r, r.a) for r in team.ranges], [(r, r.b) for r in team.ranges])
-        )
-        t, z = (np.concatenate([getattr(r, name) for r in team.ranges]) for name in ("t", "z"))
-        net = network_of(RangeLog(odometry, names, a, b, t, z))
+        net = network_of(log_of(team))
         found, cpu = timed(net)
         part = found.parts[0]
         ates.append(beside_truth(net, part, {r.name: r.truth for r in team.robots})[0])

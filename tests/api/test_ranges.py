@@ -10,7 +10,10 @@ import pytest
 import mapweave
 from mapweave.core import se2
 from mapweave.core.errors import UsageError
+from mapweave.core.fixes import enu_of
+from mapweave.io.points import read_points
 from mapweave.io.pyfg import read_pyfg
+from mapweave.sim.laser import DATUM
 
 pytestmark = pytest.mark.drawn
 
@@ -51,6 +54,30 @@ def test_the_solved_graph_that_is_written_solves_to_the_same_places(radios):
     ate = mapweave.evaluate(again, home / "out" / "graph.pyfg").as_json()["robots"]
     assert len(truth) == 3
     assert all(robot["ate"] < 0.05 for robot in ate.values())
+
+
+def test_a_team_with_receivers_lies_on_earth(tmp_path):
+    kinds = {"ranges": True, "lasers": 2, "cameras": 0, "bearings": 0, "beacons": 1, "minutes": 1}
+    mapweave.simulate_team(tmp_path / "log", **kinds, fixes=0.5, seed=3)
+    result = mapweave.map(tmp_path / "log", tmp_path / "out", truth=tmp_path / "log")
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    (placed,) = metrics["georeference"]
+    assert placed["fixes"]["robot2"]["topic"] == "/robot2/fix"
+    assert 0.9 < placed["fixes"]["robot1"]["noise_scale"] < 1.6
+    assert all(robot["ate"] < 0.25 for robot in metrics["evaluation"]["robots"].values())
+    shapes = json.loads((tmp_path / "out" / "trajectories.geojson").read_text())["features"]
+    assert [f["geometry"]["type"] for f in shapes] == ["LineString", "LineString", "Point"]
+    for name in ("fixes.csv", "world/robot2.tum", "world/robot2.cov.csv"):
+        assert (tmp_path / "out" / name).is_file()
+    np.testing.assert_allclose(result.maps[0].tracks["robot1"].pose[0], 0.0, atol=1e-9)
+    g = mapweave.load(tmp_path / "out").georeference
+    assert g.row() == result.georeference.row()
+    beacon = enu_of(np.append(g.places(result.maps[0].landmarks.mean)[0, ::-1], DATUM[2]), DATUM)
+    truth = read_points(tmp_path / "log" / "truth" / "surveyed_landmarks.csv")["beacon1"]
+    assert np.hypot(*(beacon[:2] - truth[:2])) < 0.6
+    without = mapweave.map(tmp_path / "log", laser=mapweave.LaserOptions(fixes="none"))
+    assert without.georeference is None
+    assert "georeference" not in without.metrics
 
 
 @pytest.mark.parametrize(
@@ -100,7 +127,7 @@ def test_the_two_turtlebots_lie_where_motion_capture_has_them_which_is_never_rea
     assert {f.code for f in result.findings} == {"radios-assumed", "range-dropped", "heading-unobserved"}
     captured = [left for left in result.unused if left.type == "geometry_msgs/msg/PoseStamped"]
     assert len(captured) == 2
-    assert all("never read" in left.reason for left in captured)
+    assert all(f"--fixes {left.topic} reads" in left.reason for left in captured)
     team = result.maps[0]
     apart = np.hypot(*(team.tracks["turtle03"].pose[0] - team.tracks["turtle01"].pose[0])[:2])
     assert 2.0 < apart < 3.0

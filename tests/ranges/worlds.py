@@ -5,6 +5,7 @@ import numpy as np
 from mapweave.core import se2
 from mapweave.core.records import Track
 from mapweave.ranges.log import RangeLog
+from mapweave.sim.mixed_team import MixedRecording
 
 BIAS = 0.3  # [m] of every pair
 
@@ -46,3 +47,15 @@ def ranged(
     odometry = {n: Track(k.t, se2.between(k.pose[0], k.pose)) for n, k in truth.items()}
     a, b, t, z = (np.concatenate(each) for each in zip(*rows, strict=True))
     return RangeLog(odometry, tuple(names), a, b, t, z)
+
+
+def log_of(team: MixedRecording) -> RangeLog:
+    """What the robots of a simulated team with radios logged."""
+    odometry = {robot.name: robot.odometry for robot in team.robots}
+    names = (*odometry, *team.landmarks)
+    a, b = (
+        np.concatenate([np.full(len(r.t), names.index(end)) for r, end in ends])
+        for ends in ([(r, r.a) for r in team.ranges], [(r, r.b) for r in team.ranges])
+    )
+    t, z = (np.concatenate([getattr(r, name) for r in team.ranges]) for name in ("t", "z"))
+    return RangeLog(odometry, names, a, b, t, z)

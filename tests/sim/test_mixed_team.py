@@ -8,11 +8,13 @@ import pytest
 import mapweave
 from mapweave.core import se2
 from mapweave.core.errors import UsageError
+from mapweave.core.fixes import enu_of
 from mapweave.core.walls import Walls
 from mapweave.io.landmark_logs import read_tables
 from mapweave.io.landmark_truth import read_survey
 from mapweave.io.laser_logs import read_laser
 from mapweave.sim.landmarks import Drive
+from mapweave.sim.laser import DATUM
 from mapweave.sim.mixed_team import MixedWorld, simulate_mixed
 
 SMALL = MixedWorld(lasers=1, cameras=1, bearing_cameras=1, bearings=1, landmarks=6, minutes=0.7)
@@ -119,6 +121,7 @@ def test_files_read_back_as_they_were_simulated(tmp_path):
         ({"rooms": 0}, "--rooms"),
         ({"bearing_cameras": -1}, "--bearing-cameras"),
         ({"clock": float("nan")}, "--clock"),
+        ({"lasers": 0, "fixes": 1.0}, "--fixes"),
     ],
 )
 def test_a_team_that_cannot_be_is_refused(option, word):
@@ -131,3 +134,28 @@ def test_drives_tell_what_nobody_told_the_robot():
     drive = made.robots[0].drive
     assert isinstance(drive, Drive)
     assert (drive.speed_scale, drive.turn_scale, drive.lag, drive.bearing_bias, drive.range_scale) == (1, 1, 0, 0, 1)
+
+
+def test_receivers_change_nothing_that_robots_measure_and_tell_where_they_are_on_earth(tmp_path):
+    kinds = {"lasers": 1, "cameras": 1, "bearings": 0, "landmarks": 5, "minutes": 0.5, "clock": 2.0, "seed": 4}
+    plain, made = mapweave.simulate_team(**kinds), mapweave.simulate_team(tmp_path / "t", **kinds, fixes=0.1)
+    laser, camera = made.robots
+    assert camera.fixes is None
+    np.testing.assert_array_equal(laser.laser.scans[3].ranges, plain.robots[0].laser.scans[3].ranges)
+    np.testing.assert_array_equal(camera.seen.bearing, plain.robots[1].seen.bearing)
+    T = se2.compose(laser.truth.pose[0], se2.inverse(plain.robots[0].truth.pose[0]))
+    for name, at in plain.landmarks.items():
+        np.testing.assert_allclose(se2.act(T, np.array(at)), made.landmarks[name], atol=1e-9)
+    ends = plain.walls.segments.reshape(-1, 2)
+    np.testing.assert_allclose(se2.act(T, ends), made.walls.segments.reshape(-1, 2), atol=1e-9)
+    fixes = read_laser(tmp_path / "t" / "robot1.mcap", "1").fixes
+    true = se2.interpolate(fixes.t - laser.clock, laser.truth.t, laser.truth.pose)[:, :2]
+    off = np.hypot(*(enu_of(fixes.place, DATUM)[:, :2] - true).T)
+    assert abs(laser.clock) > 0.1
+    assert np.median(off) < 0.2
+
+
+@pytest.mark.parametrize("sd", [0.0, -1.0, float("nan")])
+def test_receivers_without_noise_are_refused(sd):
+    with pytest.raises(UsageError, match="--fixes"):
+        mapweave.simulate_team(ranges=True, fixes=sd)

@@ -14,9 +14,15 @@ from mapweave.core.fixes import Fixes, enu_of, place_of
 from mapweave.core.landmark_log import LandmarkLog, SightingTable
 from mapweave.core.records import Track
 from mapweave.mapping.woven_map import Georeference
+from mapweave.ranges.estimate import RangeEstimate, estimate
+from mapweave.ranges.log import RangeLog, network_of, steps
+from mapweave.ranges.network import RangeNetwork
 from mapweave.sim.laser import DATUM, placed, simulated_fixes
+from mapweave.sim.mixed_team import MixedWorld, simulate_mixed
+from mapweave.team.georeference import LaidRanges, laid_ranges
 from mapweave.team.smooth import Smoothed
 
+from ..ranges.worlds import log_of
 from .teams import world
 
 
@@ -51,6 +57,54 @@ def fixed(seed: int, first: int = 1, minutes: float = 2.0) -> Fixed:
     T, survey = placed(np.random.default_rng(seed)), made.truth.survey
     landmarks = {f"{first}-{n}": at for n, at in zip(survey.ids, se2.act(T, np.asarray(survey.xy)), strict=True)}
     return Fixed(logs, anywhere({names[r]: truth.track for r, truth in made.truth.robots.items()}, seed), landmarks)
+
+
+@dataclass(frozen=True)
+class Ranged:
+    """A team with radios, what ranges alone make of it, and where it drove, east and north of the simulators' datum."""
+
+    log: RangeLog
+    net: RangeNetwork
+    found: RangeEstimate
+    truth: dict[str, Track]
+
+    @classmethod
+    def of(cls, log: RangeLog, truth: dict[str, Track]) -> "Ranged":
+        net = network_of(log)
+        return cls(log, net, estimate(net), truth)
+
+    def laid(self, fixes: dict[str, Fixes]) -> LaidRanges:
+        return laid_ranges(self.net, self.found, self.log.odometry, fixes)
+
+
+@cache
+def with_radios(seed: int, robots: int = 3, beacons: int = 2, minutes: float = 1.0, *, believed: bool = True) -> Ranged:
+    """A tenth of the ranges goes round something; believed: odometry errs as the estimator believes, else as simulated.
+
+    Simulated wheels err several times less than those of real robots, which the estimator's belief is of.
+    """
+    kinds = {"ranges": True, "lasers": robots, "cameras": 0, "bearings": 0, "beacons": beacons, "nlos": 0.1}
+    team = simulate_mixed(MixedWorld(**kinds, minutes=minutes), seed)
+    log = log_of(team)
+    if believed:
+        ways = {robot.name: robot.truth for robot in team.robots}
+        log = replace(
+            log, odometry={r: _erring(o, ways[r], 10 * seed + k) for k, (r, o) in enumerate(log.odometry.items())}
+        )
+    return Ranged.of(log, anywhere({robot.name: robot.truth for robot in team.robots}, seed))
+
+
+def _erring(odometry: Track, truth: Track, seed: int) -> Track:
+    """Odometry at the same stamps that errs as it is believed to."""
+    rng, inside = np.random.default_rng(seed), odometry.t <= truth.t[-1]
+    t = odometry.t[inside]
+    true = se2.interpolate(t, truth.t, truth.pose)
+    z, cov = steps(true, t)
+    z = se2.compose(z, np.sqrt(cov) * rng.standard_normal((len(z), 3)))
+    pose = [np.zeros(3)]
+    for step in z:
+        pose.append(np.asarray(se2.compose(pose[-1], step)))
+    return Track(t, np.array(pose), frame=odometry.frame)
 
 
 def carrying(logs: Iterable[LandmarkLog], fixes: dict[str, Fixes]) -> tuple[LandmarkLog, ...]:

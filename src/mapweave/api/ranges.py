@@ -108,7 +108,7 @@ class RangeResult(ResultBase):
     @property
     def _placed(self) -> list[Georeference | None]:
         """Of each map where it lies in the world."""
-        return [self.georeference if part.laid is not None else None for part in self.estimate.parts]
+        return [self.georeference if part.frame_cov is not None else None for part in self.estimate.parts]
 
     def headline(self) -> Rows:
         rows = [(robot_key(r.a), robot_key(r.b), r.n, r.bias, r.sd, r.far) for r in self.estimate.radios]

@@ -83,8 +83,8 @@ class PlacedPart:
     """What ranges and motions tie: `nodes` (m,) of the network, `first` of which holds the frame, or None where priors
     do; pose: (m, 3); cov: (m, 3, 3), without priors in the frame that fits all places best; beacon_cov: (2b, 2b), of
     its b beacons together; mirrored: other ways in which it may lie that explain the ranges as well; still: robots
-    whose heading nothing tells; laid: by fixes, then poses are in their world; frame_cov: (3, 3) how sure all lies
-    there, at its origin.
+    whose heading nothing tells; frame_cov: (3, 3), of a part in the world of fixes, how sure the whole lies there,
+    told at the world's origin.
     """
 
     nodes: Int[np.ndarray, " m"]
@@ -95,7 +95,6 @@ class PlacedPart:
     converged: bool
     mirrored: tuple[Float[np.ndarray, "m 3"], ...]
     still: tuple[str, ...]
-    laid: Laid | None = None
     frame_cov: Float[np.ndarray, "3 3"] | None = None
 
 
@@ -125,7 +124,7 @@ def estimate(net: RangeNetwork) -> RangeEstimate:
         start = lay_out(net, bodies, waiting)
         solved = sorted((_of_layout(net, bodies, layout) for layout in start.layouts[:MOST_TIED]), key=lambda s: s.cost)
         best = solved[0]
-        others = [s.pose for s in solved[1:] if s.cost < best.cost + LEAD and s.differs(best)]
+        others = [s.pose for s in solved[1:] if s.cost < best.cost + LEAD and _differ(s.pose, best.pose)]
         parts.append(best.part(tuple(others)))
         radios += best.radios()
         residual[best.rows], far[best.rows] = best.noise.residual, best.noise.far
@@ -148,15 +147,16 @@ def laid_parts(
     poses: Sequence[Float[np.ndarray, "_ 3"]],
     sights: Sights,
     others: Sequence[tuple[int, Float[np.ndarray, "_ 3"]]] = (),
-) -> RangeEstimate | None:
-    """`found` with `parts` of it as one, in the world of `sights`, whose nodes are the network's; None if not held.
+) -> tuple[RangeEstimate, PlacedPart, Laid] | None:
+    """`found` with `parts` of it as one, in the world of `sights`, and that one; None where they do not hold it.
 
+    sights: on nodes of the network;
     poses: about where each part lies there; others: which part may lie elsewhere too, and where.
     """
     nodes = np.concatenate([part.nodes for part in parts])
     order = np.argsort(nodes)
     solved = _solved(net, bodies_of(net), nodes[order], np.concatenate(poses)[order], found, sights)
-    if solved is None:
+    if solved is None or solved.laid is None:
         return None
     mirrored = []
     for k, pose in others:
@@ -169,7 +169,7 @@ def laid_parts(
     gone = {id(one) for one in parts}
     all_parts = sorted([part, *(one for one in found.parts if id(one) not in gone)], key=_largest_first(net))
     main = {net.everybody[k] for k in net.owner[all_parts[0].nodes].tolist()}
-    return RangeEstimate(
+    every = RangeEstimate(
         tuple(all_parts),
         (*ours, *(radio for radio in found.radios if (radio.a, radio.b) not in pairs)),
         residual,
@@ -180,6 +180,7 @@ def laid_parts(
             if name not in main
         },
     )
+    return every, part, solved.laid
 
 
 def laid_as_fixes_fit(
@@ -188,20 +189,30 @@ def laid_as_fixes_fit(
     part: PlacedPart,
     poses: Sequence[Float[np.ndarray, "_ 3"]],
     sights: Sights,
-) -> list[int]:
-    """Which of `poses` of a part, about where it may lie in the world, explain its fixes: the best first, and those
-    that do as well.
+) -> list[Float[np.ndarray, "_ 3"]]:
+    """Where the part lies in the world by its fixes: the best of what comes of `poses`, about where it may lie, first,
+    and those that explain ranges and fixes as well.
     """
-    costs: dict[int, float] = {}
-    for k, pose in enumerate(poses):
+    ways: list[tuple[float, np.ndarray]] = []
+    for pose in poses:
         tried = laid_parts(net, found, (part,), (pose,), sights)
-        one = None if tried is None else next(one for one in tried.parts if one.laid is not None)
-        if one is not None and one.laid is not None:
-            n = np.bincount(sights.of, minlength=len(one.laid.receivers.scale)) / one.laid.receivers.lasting
-            far = np.bincount(sights.of[one.laid.far], minlength=len(n)) / one.laid.receivers.lasting
+        if tried is not None:
+            laid, of = tried[2], tried[2].receivers
+            n = np.bincount(sights.of, minlength=len(of.scale)) / of.lasting
+            far = np.bincount(sights.of[laid.far], minlength=len(n)) / of.lasting
             # less twice the logarithm of the likelihood, in which a fix has two coordinates of a noise that is found
-            costs[k] = one.laid.solution.cost + float((4 * n * np.log(one.laid.receivers.scale) + FAR2 * far).sum())
-    return sorted((k for k in costs if costs[k] < min(costs.values()) + LEAD), key=costs.__getitem__)
+            cost = laid.solution.cost + float((4 * n * np.log(of.scale) + FAR2 * far).sum())
+            ways.append((cost, tried[1].pose))
+    out: list[np.ndarray] = []
+    for cost, pose in sorted(ways, key=lambda way: way[0]):
+        if cost < min(ways, key=lambda way: way[0])[0] + LEAD and all(_differ(pose, other) for other in out):
+            out.append(pose)
+    return out
+
+
+def _differ(one: Float[np.ndarray, "n 3"], other: Float[np.ndarray, "n 3"]) -> bool:
+    """Whether anybody lies elsewhere."""
+    return bool(np.hypot(*(one - other)[:, :2].T).max() > 10 * FIRST_SD)
 
 
 def _largest_first(net: RangeNetwork) -> Callable[[PlacedPart], tuple[int, int]]:
@@ -261,10 +272,6 @@ class _Solved:
     def cost(self) -> float:
         return self.solution.cost
 
-    def differs(self, other: "_Solved") -> bool:
-        """Whether anybody lies elsewhere."""
-        return bool(np.hypot(*(self.pose - other.pose)[:, :2].T).max() > 10 * FIRST_SD)
-
     def part(self, mirrored: tuple[np.ndarray, ...]) -> PlacedPart:
         n, beacon = len(self.nodes), self.net.is_beacon[self.nodes]
         at = (3 * np.flatnonzero(beacon)[:, None] + np.arange(2)).ravel()
@@ -283,7 +290,6 @@ class _Solved:
             converged=self.solution.converged,
             mirrored=mirrored,
             still=tuple(self.net.robots[k] for k in still),
-            laid=self.laid,
             frame_cov=None if self.laid is None else frame,
         )
 

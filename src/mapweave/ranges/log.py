@@ -53,8 +53,10 @@ def network_of(log: RangeLog) -> RangeNetwork:
     instants = [_instants(log.odometry[name].t) for name in robots]
     starts = np.concatenate([[0], np.cumsum([len(i) for i in instants])]).astype(int)
     tracks = [log.odometry[name] for name in robots]
-    parts = [_steps(track.pose[i], track.t[i], int(s)) for track, i, s in zip(tracks, instants, starts, strict=False)]
-    motions = Motions(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+    parts = [steps(track.pose[i], track.t[i]) for track, i in zip(tracks, instants, strict=True)]
+    z, var = (np.concatenate(each) for each in zip(*parts, strict=True))
+    first = np.delete(np.arange(starts[-1]), starts[1:] - 1)
+    motions = Motions(first, first + 1, z, var[:, :, None] * np.eye(3))
     n = int(starts[-1])
     owner = np.concatenate(
         [*(np.full(len(i), k) for k, i in enumerate(instants)), len(robots) + np.arange(len(beacons))]
@@ -118,15 +120,11 @@ def _instants(t: Float[np.ndarray, " n"]) -> Int[np.ndarray, " k"]:
     return np.unique(np.append(at, len(t) - 1))
 
 
-def _steps(
-    pose: Float[np.ndarray, "k 3"], t: Float[np.ndarray, " k"], start: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """From each pose to the next, what odometry says and how far it may be off."""
-    z = se2.between(pose[:-1], pose[1:])
+def steps(
+    pose: Float[np.ndarray, "k 3"], t: Float[np.ndarray, " k"]
+) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3"]]:
+    """From each pose to the next, what odometry says, and the variances by which it may be off."""
+    z = np.asarray(se2.between(pose[:-1], pose[1:]))
     way, turn, dt = np.hypot(z[:, 0], z[:, 1]), np.abs(z[:, 2]), np.diff(t)
-    cov = np.zeros((len(z), 3, 3))
-    cov[:, 0, 0] = ALONG**2 * way + REST_XY**2 * dt + 1e-8
-    cov[:, 1, 1] = ACROSS**2 * way + REST_XY**2 * dt + 1e-8
-    cov[:, 2, 2] = DRIFT**2 * way + TURN**2 * turn + REST_THETA**2 * dt + 1e-8
-    first = start + np.arange(len(z))
-    return first, first + 1, z, cov
+    xy, theta = REST_XY**2 * dt + 1e-8, TURN**2 * turn + REST_THETA**2 * dt + 1e-8
+    return z, np.column_stack([ALONG**2 * way + xy, ACROSS**2 * way + xy, DRIFT**2 * way + theta])

@@ -318,8 +318,8 @@ def _told_at(cov: Float[np.ndarray, "3 3"], d: Float[np.ndarray, "2"]) -> Float[
 
 @dataclass(frozen=True, slots=True)
 class LaidRanges:
-    """estimate: with the parts that fixes lay as one; georeference: of that part, which is `laid`; findings: of robots'
-    fixes.
+    """estimate: with the parts that fixes lay as one; georeference: of that part, whose poses are in the world;
+    findings: of robots' fixes.
     """
 
     estimate: RangeEstimate
@@ -347,25 +347,28 @@ def laid_ranges(
         if not mine:
             continue
         sights = sights_of([(s, 0) for s in mine])
-        ways = [part.pose, *part.mirrored]
-        there = [se2.compose(registered(_seen(net, part, way, sights), sights.z)[0], way) for way in ways]
-        fit = [0] if len(ways) == 1 else laid_as_fixes_fit(net, found, part, there, sights) or [0]
-        T, why = first_guess(mine[0].robot, _seen(net, part, ways[fit[0]], sights), sights.z)
-        findings += why
+        there = [
+            np.asarray(se2.compose(registered(_seen(net, part, way, sights), sights.z)[0], way))
+            for way in (part.pose, *part.mirrored)
+        ]
+        fit = there if len(there) == 1 else laid_as_fixes_fit(net, found, part, there, sights) or there[:1]
+        T, vague = first_guess(mine[0].robot, _seen(net, part, fit[0], sights), sights.z)
+        findings += vague
         if T is not None:
-            others += [(len(parts), there[k]) for k in fit[1:]]
+            others += [(len(parts), way) for way in fit[1:]]
             parts.append(part)
-            poses.append(there[fit[0]])
+            poses.append(fit[0])
             used += mine
     if not parts:
         return LaidRanges(found, None, tuple(findings))
     laid = laid_parts(net, found, parts, poses, sights_of([(s, 0) for s in used]), others)
-    whole = None if laid is None else next(part for part in laid.parts if part.laid is not None)
-    if laid is None or whole is None or whole.laid is None or whole.laid.far.mean() > MOSTLY:
-        return LaidRanges(found, None, (*findings, contradicted(used[0].robot, None if whole is None else whole.laid)))
-    georeference, sure = _world_of_ranges(net, whole, whole.laid, used, datum, frame)
-    names = [_robots(net, part) for part in parts]
-    return LaidRanges(laid, georeference, (*findings, *told_of_map(georeference, names, _robots(net, whole)[0], sure)))
+    if laid is None or laid[2].far.mean() > MOSTLY:
+        why = contradicted(used[0].robot, None if laid is None else laid[2])
+        return LaidRanges(found, None, (*findings, why))
+    every, whole, how = laid
+    georeference, sure = _world_of_ranges(net, whole, how, used, datum, frame)
+    told_of = told_of_map(georeference, [_robots(net, part) for part in parts], _robots(net, whole)[0], sure)
+    return LaidRanges(every, georeference, (*findings, *told_of))
 
 
 def _robots(net: RangeNetwork, part: PlacedPart) -> list[str]:
