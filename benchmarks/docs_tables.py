@@ -88,6 +88,7 @@ TABLES = (
     Table("ranges", "docs/methods/ranging.md", bench("ranges"), "stdout"),
     Table("fixes", "docs/methods/fixes.md", bench("fixes"), "stdout"),
     Table("fixes of teams", "docs/methods/fixes.md", bench("fixes", "--teams"), "stdout"),
+    Table("sensors", "docs/sensors.md", bench("sensors"), "stdout"),
     Table("fixes of radios", "docs/methods/fixes.md", bench("fixes", "--radios"), "stdout"),
     Table("starts searched", "docs/laser.md", bench("localize_trust"), "stdout"),
     Table(
