@@ -46,7 +46,8 @@ TOLD_SHARE = 0.02  # of all ranges rejected, from which it is told
 
 @dataclass(frozen=True, slots=True, repr=False)
 class RangeResult(ResultBase):
-    """Robots and beacons placed by ranges: `maps` as of landmark logs, beacons as landmarks, the largest first;
+    """Robots and beacons placed by ranges: `maps` as of landmark logs, beacons as landmarks, the largest first.
+
     georeference: where fixes lay one of them.
     """
 
