@@ -13,6 +13,7 @@ from mapweave.core.errors import UsageError
 from mapweave.core.fixes import enu_of
 from mapweave.io.points import read_points
 from mapweave.io.pyfg import read_pyfg
+from mapweave.io.range_bags import read_range_bag
 from mapweave.sim.laser import DATUM
 
 pytestmark = pytest.mark.drawn
@@ -131,3 +132,19 @@ def test_the_two_turtlebots_lie_where_motion_capture_has_them_which_is_never_rea
     team = result.maps[0]
     apart = np.hypot(*(team.tracks["turtle03"].pose[0] - team.tracks["turtle01"].pose[0])[:2])
     assert 2.0 < apart < 3.0
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not DATA.is_dir(), reason="needs MAPWEAVE_DATA")
+def test_motion_capture_of_two_turtlebots_places_the_other_two_where_it_has_them():
+    radios = {"n_7": "turtle01", "n_3": "turtle03", "n_4": "turtle04", "n_5": "turtle05"}
+    path, captured = DATA / "four-turtlebots.db3", {n: f"/vrpn_client_node/turtlebot{n}_cap/pose" for n in (1, 3, 4, 5)}
+    given = mapweave.LaserOptions(fixes=f"{captured[3]},{captured[4]}")
+    world = mapweave.map(path, radios=radios, laser=given).georeference.tracks
+    for n in (1, 5):
+        true = read_range_bag(path, radios, captured[n]).fixes[f"turtle0{n}"]
+        track = world[f"turtle0{n}"]
+        seen = true.within(track.t[0], track.t[-1])
+        off = se2.interpolate(seen.t, track.t, track.pose)[:, :2] - seen.xy(None)
+        sd = np.sqrt(np.trace(track.cov[:, :2, :2], axis1=1, axis2=2).mean())
+        assert np.sqrt(np.square(off).sum(axis=1).mean()) < min(2.0 * sd, 0.25)
