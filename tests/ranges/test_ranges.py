@@ -16,7 +16,7 @@ from mapweave.ranges.network import Motions, RangeNetwork, Ranges
 from mapweave.ranges.start import placements
 
 from ..differences import assert_derivative
-from .worlds import BIAS, LINE, SQUARE, STILL, driven, ranged
+from .worlds import BIAS, LINE, SQUARE, STILL, driven, log_of, ranged
 
 TWO = {"robot1": driven(SQUARE, (0.0, 0.0, 0.0)), "robot2": driven(SQUARE[::-1] * 1.3, (2.0, 5.0, 2.0))}
 BEACONS = {"beacon1": (-2.0, 4.0), "beacon2": (5.0, 1.0)}
@@ -196,3 +196,18 @@ def test_the_noise_of_a_radio_is_neither_more_nor_less_than_its_ranges_scatter(n
     told = _Noise.of(ranges, which, pairs, error)
     assert np.sqrt(np.mean(np.square(told.sd))) == pytest.approx(0.05, rel=0.03)
     assert (told.far == (error > 0.4)).mean() > 0.99
+
+
+@pytest.mark.parametrize(
+    ("seed", "team"),
+    [
+        (15, {"lasers": 3, "nlos": 0.1, "noise": 0.5}),
+        (14, {"lasers": 2, "beacons": 1, "nlos": 0.1, "noise": 2.0, "rooms": 2}),
+        (145, {"lasers": 3, "beacons": 1, "nlos": 0.1, "noise": 2.0, "rooms": 2}),  # found from some robots alone
+    ],
+)
+def test_of_layouts_the_likeliest_is_found_not_the_one_that_noisier_ranges_would_fit_best(seed, team):
+    made = mapweave.simulate_team(ranges=True, cameras=0, bearings=0, minutes=0.5, seed=seed, **{"rooms": 1, **team})
+    net = network_of(log_of(made))
+    truth = {robot.name: robot.truth for robot in made.robots}
+    assert max(misses(net, estimate(net), truth, made.landmarks).values()) < 0.3

@@ -9,6 +9,7 @@ Position fixes are one more factor of the same problem, which then lies in their
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -50,6 +51,7 @@ SPREAD = 0.15  # [m] of the biases beside what they have in common, before they 
 FEW = 3  # pairs that tell it, at least
 ANY_HEADING = 2.0  # [rad] sd of a heading that nothing tells
 TO_SD = 1.4826  # times half the width of its densest half is the sd of a Gaussian
+ANYTHING = 3.0  # [m] by up to which one that went another way is too long
 FAR = 3.0  # [sd] from which a range is taken for one that went another way
 WITHIN_FAR = 1.0136  # times what scatters within it is the sd of a Gaussian
 WIDE = Cauchy(2.0)  # while the noise is still a guess
@@ -111,6 +113,15 @@ class RangeEstimate:
     loose: dict[str, str]
 
 
+class LaidParts(NamedTuple):
+    """estimate: with the parts as one, which is `part`; laid: by the fixes; cost: as of a layout."""
+
+    estimate: RangeEstimate
+    part: PlacedPart
+    laid: Laid
+    cost: float
+
+
 def estimate(net: RangeNetwork) -> RangeEstimate:
     """All trajectories and beacons of `net`, in as many parts as ranges leave."""
     bodies = bodies_of(net)
@@ -124,7 +135,11 @@ def estimate(net: RangeNetwork) -> RangeEstimate:
         start = lay_out(net, bodies, waiting)
         solved = sorted((_of_layout(net, bodies, layout) for layout in start.layouts[:MOST_TIED]), key=lambda s: s.cost)
         best = solved[0]
-        others = [s.pose for s in solved[1:] if s.cost < best.cost + LEAD and _differ(s.pose, best.pose)]
+        others: list[np.ndarray] = []
+        for s in solved[1:]:
+            pose = s.pose if len(net.priors.node) else se2.compose(se2.align(s.pose[:, :2], best.pose[:, :2]), s.pose)
+            if s.cost < best.cost + LEAD and all(_differ(pose, other) for other in (best.pose, *others)):
+                others.append(pose)
         parts.append(best.part(tuple(others)))
         radios += best.radios()
         residual[best.rows], far[best.rows] = best.noise.residual, best.noise.far
@@ -147,8 +162,8 @@ def laid_parts(
     poses: Sequence[Float[np.ndarray, "_ 3"]],
     sights: Sights,
     others: Sequence[tuple[int, Float[np.ndarray, "_ 3"]]] = (),
-) -> tuple[RangeEstimate, PlacedPart, Laid] | None:
-    """`found` with `parts` of it as one, in the world of `sights`, and that one; None where they do not hold it.
+) -> LaidParts | None:
+    """`found` with `parts` of it as one, in the world of `sights`; None where they do not hold it.
 
     sights: on nodes of the network;
     poses: about where each part lies there; others: which part may lie elsewhere too, and where.
@@ -180,7 +195,7 @@ def laid_parts(
             if name not in main
         },
     )
-    return every, part, solved.laid
+    return LaidParts(every, part, solved.laid, solved.cost)
 
 
 def laid_as_fixes_fit(
@@ -197,12 +212,12 @@ def laid_as_fixes_fit(
     for pose in poses:
         tried = laid_parts(net, found, (part,), (pose,), sights)
         if tried is not None:
-            laid, of = tried[2], tried[2].receivers
+            laid, of = tried.laid, tried.laid.receivers
             n = np.bincount(sights.of, minlength=len(of.scale)) / of.lasting
             far = np.bincount(sights.of[laid.far], minlength=len(n)) / of.lasting
             # less twice the logarithm of the likelihood, in which a fix has two coordinates of a noise that is found
-            cost = laid.solution.cost + float((4 * n * np.log(of.scale) + FAR2 * far).sum())
-            ways.append((cost, tried[1].pose))
+            cost = tried.cost + float((4 * n * np.log(of.scale) + FAR2 * far).sum())
+            ways.append((cost, tried.part.pose))
     out: list[np.ndarray] = []
     for cost, pose in sorted(ways, key=lambda way: way[0]):
         if cost < min(ways, key=lambda way: way[0])[0] + LEAD and all(_differ(pose, other) for other in out):
@@ -251,7 +266,8 @@ class _Noise:
 class _Solved:
     """One layout, worked out. nodes, rows: of the network; names: (p, 2) the pairs, which: (k,) each range's;
 
-    first: the node that holds the frame; unturned: (n,) nodes whose heading nothing tells.
+    first: the node that holds the frame; unturned: (n,) nodes whose heading nothing tells; cost: less twice the
+    logarithm of the likelihood of all it rests on, but for what is the same of every layout.
     """
 
     net: RangeNetwork
@@ -267,10 +283,7 @@ class _Solved:
     noise: _Noise
     solution: Solution
     laid: Laid | None
-
-    @property
-    def cost(self) -> float:
-        return self.solution.cost
+    cost: float
 
     def part(self, mirrored: tuple[np.ndarray, ...]) -> PlacedPart:
         n, beacon = len(self.nodes), self.net.is_beacon[self.nodes]
@@ -412,8 +425,21 @@ def _solved(
     bias_sd = np.full(pairs, np.nan) if P is None else np.sqrt(np.diag(P)[:-1])
     unturned = ~bodies.turns[of] & (len(heads) > 1 or sights is not None)
     return _Solved(
-        net, nodes, rows, names[there], which, first, unturned, pose, bias, bias_sd, noise, solution, laid
+        net, nodes, rows, names[there], which, first, unturned, pose, bias, bias_sd, noise, solution, laid,
+        cost=solution.cost - float(np.square(noise.residual / sd).sum()) + _unlikely(noise, r, which),
     )  # fmt: skip
+
+
+def _unlikely(noise: _Noise, r: Ranges, which: Int[np.ndarray, " k"]) -> float:
+    """Less twice the logarithm of the likelihood of the ranges: each but the far ones goes on from its pair's last.
+
+    A layout that is wrong is made up for by noise that is greater and lasts longer, which squares over the noise hide.
+    """
+    sd = np.where(np.isfinite(r.sd), r.sd, noise.sd[which])
+    long = noise.lasting[which]
+    new = sd * 2.0 * np.sqrt(long) / (long + 1.0)  # of an error, beside what is left of the last, as it lasts so long
+    each = np.square(noise.residual / sd) + 2.0 * np.log(new) + np.log(2.0 * np.pi)
+    return float(np.where(noise.far, 2.0 * np.log(ANYTHING), each).sum())
 
 
 def _spread_of(off: Float[np.ndarray, " p"], P: Float[np.ndarray, "q q"]) -> float:

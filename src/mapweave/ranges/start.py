@@ -7,6 +7,7 @@ later decide between them. What is still open at the end is reported, not chosen
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 
 import numpy as np
 from jaxtyping import Float
@@ -24,6 +25,7 @@ BIAS_SD = 0.5  # [m] by which radios read too long, before anything is known
 APART_XY, APART_THETA = 0.3, 0.2  # [m], [rad] from which two minima are two
 LEAD = 9.0  # of cost, per unit of how well the best fits, by which a hypothesis must be worse to be given up
 MOST_KEPT = 24  # hypotheses of the whole team followed at once
+BEGINNERS = 3  # bodies from which layouts are begun, in turn
 SURE_XY, SURE_THETA = 1.5, 0.6  # [m], [rad] sd beyond which ranges do not place a body
 LEAST = 6  # ranges that place a body, a beacon takes two less
 
@@ -58,7 +60,28 @@ class ColdStart:
 
 
 def lay_out(net: RangeNetwork, bodies: Bodies, members: Sequence[int]) -> ColdStart:
-    """How the bodies `members`, which ranges connect, may lie; the frame is that of the first placed."""
+    """How the bodies `members`, which ranges connect, may lie; the frame is that of the first placed.
+
+    A body is placed by what lies already, which may be little and bent, and what is missed then is missed for good; so
+    that several begin in turn. The layouts that each finds best come first.
+    """
+    firsts = _firsts(net, bodies, members)
+    starts = [_laid_from(first, net, bodies, members) for first in firsts]
+    most = max(starts, key=lambda start: len(start.layouts[0].frames))
+    middle = {k: bodies.pose[bodies.of == k, :2].mean(axis=0) for k in most.layouts[0].frames}
+    layouts: list[BodyLayout] = []
+    for one in (one for rank in zip_longest(*(start.layouts for start in starts)) for one in rank):
+        if one is None or one.frames.keys() != middle.keys():
+            continue
+        to = se2.inverse(one.frames[firsts[0]])
+        moved = BodyLayout({k: np.asarray(se2.compose(to, T)) for k, T in one.frames.items()}, one.cost)
+        if not any(all(_alike(moved.frames[k], a.frames[k], middle[k]) for k in middle) for a in layouts):
+            layouts.append(moved)
+    return ColdStart(tuple(layouts), most.loose)
+
+
+def _laid_from(first: int, net: RangeNetwork, bodies: Bodies, members: Sequence[int]) -> ColdStart:
+    """What comes of placing the others one by one; frames are in that of `first`, the best layout first."""
     r = net.ranges
     of_a, of_b = bodies.of[r.a], bodies.of[r.b]
     R_a, R_b = se2.rotation(bodies.pose[r.a, 2]), se2.rotation(bodies.pose[r.b, 2])
@@ -79,7 +102,6 @@ def lay_out(net: RangeNetwork, bodies: Bodies, members: Sequence[int]) -> ColdSt
         rows = np.argsort(t, kind="stable")[spread(len(t), MOST)]
         return q[rows], p[rows], z[rows]
 
-    first = _first(net, bodies, members)
     layouts = [BodyLayout({first: np.zeros(3)}, 0.0)]
     waiting = [k for k in members if k != first]
     loose: dict[int, str] = {}
@@ -110,14 +132,15 @@ def lay_out(net: RangeNetwork, bodies: Bodies, members: Sequence[int]) -> ColdSt
     return ColdStart(tuple(layouts), {k: loose[k] for k in waiting})
 
 
-def _first(net: RangeNetwork, bodies: Bodies, members: Sequence[int]) -> int:
-    """The body that priors place, else that with most ranges to others."""
+def _firsts(net: RangeNetwork, bodies: Bodies, members: Sequence[int]) -> list[int]:
+    """The body that priors place, else those with most ranges to others."""
     of = bodies.of[net.priors.node]
     if len(of) and of[0] in members:
-        return int(of[0])
+        return [int(of[0])]
     a, b = bodies.of[net.ranges.a], bodies.of[net.ranges.b]
     count = np.bincount(np.concatenate([a[a != b], b[a != b]]), minlength=len(bodies.turns))
-    return max(members, key=lambda k: (bool(bodies.turns[k]), int(count[k]), -k))
+    order = sorted(members, key=lambda k: (not bodies.turns[k], -int(count[k]), k))
+    return [order[0], *(k for k in order[1:BEGINNERS] if bodies.turns[k])]
 
 
 def _kept(layouts: list[BodyLayout]) -> list[BodyLayout]:

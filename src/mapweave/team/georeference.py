@@ -362,10 +362,10 @@ def laid_ranges(
     if not parts:
         return LaidRanges(found, None, tuple(findings))
     laid = laid_parts(net, found, parts, poses, sights_of([(s, 0) for s in used]), others)
-    if laid is None or laid[2].far.mean() > MOSTLY:
-        why = contradicted(used[0].robot, None if laid is None else laid[2])
+    if laid is None or laid.laid.far.mean() > MOSTLY:
+        why = contradicted(used[0].robot, None if laid is None else laid.laid)
         return LaidRanges(found, None, (*findings, why))
-    every, whole, how = laid
+    every, whole, how, _ = laid
     georeference, sure = _world_of_ranges(net, whole, how, used, datum, frame)
     told_of = told_of_map(georeference, [_robots(net, part) for part in parts], _robots(net, whole)[0], sure)
     return LaidRanges(every, georeference, (*findings, *told_of))
