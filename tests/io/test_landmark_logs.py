@@ -323,7 +323,7 @@ def test_a_sighting_without_a_range_tells_its_bearing_alone(tmp_path):
     assert not len(second.bearings)
     assert first.until(2.5).bearings.counts() == {"7": 1}
     (home / "sightings.csv").write_text("t,robot,id,bearing\n1.0,1,6,0.1\n", encoding="utf-8")
-    with pytest.raises(DataError, match="no robot saw"):
+    with pytest.raises(DataError, match="bearings alone begin no map"):
         read_landmark_logs(home)
     (home / "sightings.csv").write_text("t,robot,id\n1.0,1,6\n", encoding="utf-8")
     with pytest.raises(ReaderError, match="expected the columns"):

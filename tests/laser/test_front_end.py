@@ -98,8 +98,9 @@ def test_without_odometry_turns_of_any_width_are_found_in_rooms(every):
     told, was = se2.between(pose[:-1], pose[1:]), se2.between(true[:-1], true[1:])
     assert np.abs(was[:, 2]).max() > 1.5
     off = se2.between(was, told)
-    assert np.hypot(off[:, 0], off[:, 1]).max() < 0.3  # a corridor tells little of the way along it
     assert np.abs(off[:, 2]).max() < 0.05
+    turned = np.abs(was[:, 2]) > 0.5  # a corridor, which it drives straight, tells little of the way along it
+    assert np.hypot(off[turned, 0], off[turned, 1]).max() < 0.1
 
 
 def test_along_a_bare_corridor_a_robot_without_odometry_drives_on_as_it_did():
