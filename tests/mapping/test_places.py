@@ -7,9 +7,10 @@ from mapweave.core import se2
 from mapweave.kernels.laser.place_search import FULL
 from mapweave.kernels.mapping.places import Clouds, SearchedField, SearchRules, heading_peaks, search_submaps
 from mapweave.laser.place_search import likelihood_field
+from mapweave.laser.wall_directions import BINS
 from mapweave.mapping import places
 from mapweave.mapping.places import FIELD, LIGHT, PlaceIndex, PlaceMatch, PlaceSearchConfig
-from mapweave.mapping.submaps import BINS, SUBMAP_POINTS, PlaceSubmap, make_submap, middles, signature, way_of
+from mapweave.mapping.submaps import SUBMAP_POINTS, PlaceSubmap, make_submap, middles, signature, way_of
 
 
 def room(seed, boxes=9, size=9.0):

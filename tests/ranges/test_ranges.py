@@ -9,7 +9,7 @@ import mapweave
 from mapweave.core import se2
 from mapweave.core.records import Track
 from mapweave.ranges import log as range_log
-from mapweave.ranges.estimate import RangeEstimate, _Noise, estimate
+from mapweave.ranges.estimate import RangeEstimate, _Noise, _unlikely, estimate
 from mapweave.ranges.factors import lasting, motion_factor, range_factor
 from mapweave.ranges.log import RangeLog, network_of
 from mapweave.ranges.network import Motions, RangeNetwork, Ranges
@@ -211,3 +211,19 @@ def test_of_layouts_the_likeliest_is_found_not_the_one_that_noisier_ranges_would
     net = network_of(log_of(made))
     truth = {robot.name: robot.truth for robot in made.robots}
     assert max(misses(net, estimate(net), truth, made.landmarks).values()) < 0.3
+
+
+def test_a_pairs_ranges_are_as_likely_as_a_chain_whose_errors_last_so_long():
+    rng, rho, sd, n = np.random.default_rng(3), 0.8, 0.1, 4000
+    e = np.zeros(n)
+    for k in range(1, n):
+        e[k] = rho * e[k - 1] + sd * np.sqrt(1.0 - rho**2) * rng.standard_normal()
+    new = e[1:] - rho * e[:-1]
+    chain = np.square(new / sd).sum() / (1.0 - rho**2) + (n - 1) * np.log(2.0 * np.pi * sd**2 * (1.0 - rho**2))
+    none = np.zeros((n, 2))
+    r = Ranges(none[:, 0].astype(int), none[:, 0].astype(int), np.arange(float(n)), e, np.full(n, np.nan), none, none)
+    far = np.zeros(n, bool)
+    which, long = np.zeros(n, int), np.array([(1.0 + rho) / (1.0 - rho)])
+    told = _unlikely(_Noise(e, far, np.array([sd]), long), r, which)
+    assert told == pytest.approx(chain, abs=0.05 * n)
+    assert _unlikely(_Noise(e, far, np.array([sd]), np.ones(1)), r, which) > told + n

@@ -17,6 +17,7 @@ from ..core.errors import ConfigError
 from ..kernels.laser.local_map import MatchCost, ScanPoints, add_points, align_scan, count_matches, fit_lines
 from ..kernels.mapping.places import heading_peaks
 from .beam import Beams
+from .wall_directions import BINS, spectrum
 
 FRONT_END_AGREE = 0.5  # least cosine between a beam's normal and its cell's
 
@@ -43,8 +44,7 @@ ALONE_SEARCH = 1.3  # [rad] turns tried to either side of such a robot's last he
 ALONE_STEP = 0.06  # [rad] between them
 ALONE_PEAKS = 5  # turns tried besides, by which its walls face where those of the local map do
 ALONE_MOST = 2.6  # [rad] of those at most: turned about, a corridor looks the same
-ALONE_BINS, ALONE_PEAKS_APART, ALONE_PEAK_SHARE = 360, 8, 0.3  # directions; bins between peaks; of the greatest
-ALONE_SMOOTH = 2.0  # [bins] by which the directions are smoothed
+ALONE_PEAKS_APART, ALONE_PEAK_SHARE = 8, 0.3  # bins between peaks; of the greatest
 ALONE_SHIFT, ALONE_SHIFTS = 0.4, 2  # [m] and how often to each side: the places tried with each of those
 ALONE_REACH = 0.15  # [m] a return this near its line counts in these tries
 ALONE_TRIES = 8  # of all, those that most returns match, which are refined,
@@ -219,7 +219,7 @@ class FrontEnd:
     def _by_directions(self, b: Beams, last: Float[np.ndarray, "3"]) -> Float[np.ndarray, "k 3"]:
         """Poses about the last one at which the scan's walls face where those of the local map do."""
         seen = np.sum([frame.directions for frame in self.keyframes], axis=0)
-        alike = np.fft.irfft(seen * np.conj(_directions(b.normal)), ALONE_BINS)
+        alike = np.fft.irfft(seen * np.conj(_directions(b.normal)), BINS)
         (peaks,), (count,) = heading_peaks(alike[None], ALONE_PEAKS, ALONE_PEAKS_APART, ALONE_PEAK_SHARE, 0.0)
         turns = peaks[:count][np.abs(se2.wrap_angle(peaks[:count] - last[2])) < ALONE_MOST]
         to = ALONE_SHIFT * np.arange(-ALONE_SHIFTS, ALONE_SHIFTS + 1)
@@ -253,14 +253,9 @@ def _keyframe(scans: Sequence[tuple[Beams, Float[np.ndarray, "3"]]]) -> _Keyfram
 
 
 def _directions(normals: Float[np.ndarray, "n 2"]) -> Complex[np.ndarray, " f"]:
-    """The spectrum of how many of the normals show in each direction, smoothed, its mean off."""
-    at = np.floor(np.arctan2(normals[:, 1], normals[:, 0]) / (2.0 * np.pi) * ALONE_BINS).astype(int) % ALONE_BINS
-    away = np.minimum(np.arange(ALONE_BINS), ALONE_BINS - np.arange(ALONE_BINS))
-    spectrum = np.fft.rfft(np.bincount(at, minlength=ALONE_BINS)) * np.fft.rfft(
-        np.exp(-0.5 * np.square(away / ALONE_SMOOTH))
-    )
-    spectrum[0] = 0.0
-    return np.asarray(spectrum)
+    """The spectrum of how many of the normals show in each direction."""
+    at = np.floor(np.arctan2(normals[:, 1], normals[:, 0]) / (2.0 * np.pi) * BINS).astype(int) % BINS
+    return spectrum(np.bincount(at, minlength=BINS).astype(float))
 
 
 def _untouched(shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:

@@ -26,7 +26,8 @@ from ..kernels.mapping.places import (
 )
 from ..laser.consistency import adjoint
 from ..laser.place_search import Q_LEVELS, LikelihoodField, PlaceConfig, brightness, inliers, likelihood_field
-from .submaps import BINS, PlaceSubmap
+from ..laser.wall_directions import BINS
+from .submaps import PlaceSubmap
 
 MOST_RATIO = 0.9  # of the score that another place may have
 MOST_MOVED = 0.6  # [m] that may lie between where it was found and where it was laid

@@ -14,14 +14,13 @@ from ..core import se2
 from ..core.records import frozen
 from ..core.rows import spread
 from ..kernels.laser.place_refine import fit_normals
+from ..laser.wall_directions import BINS, spectrum
 
 SUBMAP_EVERY = 3.0  # [m] of way between the middles of submaps
 SUBMAP_AROUND = 3.0  # [m] of way to either side that a submap is made of
 SUBMAP_REACH = 20.0  # [m] farther returns are left out
 SUBMAP_POINTS = 400  # of a submap that are searched for elsewhere, at most
 
-BINS = 360  # directions of the signature of walls
-SMOOTH = 2.0  # [bins] by which it is smoothed
 VOXEL = 0.1  # [m] a side: one point of a submap
 LINE = 0.2  # [m] points this near make a wall's line
 TURN_WAY = 0.3  # [m] of way that a radian of turning counts as
@@ -126,8 +125,6 @@ def signature(points: Float[np.ndarray, "n 2"], facing: Float[np.ndarray, "n 2"]
     amount = np.bincount(low % BINS, weight * (low + 1 - at), BINS) + np.bincount(
         (low + 1) % BINS, weight * (at - low), BINS
     )
-    away = np.minimum(np.arange(BINS), BINS - np.arange(BINS))
-    spectrum = np.fft.rfft(amount) * np.fft.rfft(np.exp(-0.5 * np.square(away / SMOOTH)))
-    spectrum[0] = 0.0
-    size = float(np.linalg.norm(np.fft.irfft(spectrum, BINS)))
-    return np.asarray(spectrum / max(size, 1e-12))
+    found = spectrum(amount)
+    size = float(np.linalg.norm(np.fft.irfft(found, BINS)))
+    return np.asarray(found / max(size, 1e-12))

@@ -165,8 +165,8 @@ def laid_parts(
 ) -> LaidParts | None:
     """`found` with `parts` of it as one, in the world of `sights`; None where they do not hold it.
 
-    sights: on nodes of the network;
-    poses: about where each part lies there; others: which part may lie elsewhere too, and where.
+    poses: about where each part lies there; sights: on nodes of the network; others: which part may lie elsewhere too,
+    and where.
     """
     nodes = np.concatenate([part.nodes for part in parts])
     order = np.argsort(nodes)
