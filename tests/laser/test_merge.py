@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from laser_pairs import PairConfig, drive_pair
+from merge_trials import judged, office, symmetric
 
 from mapweave.core import se2
 from mapweave.core.errors import DataError
@@ -143,6 +144,21 @@ def test_a_building_that_looks_the_same_turned_round_is_refused_with_both_places
     assert not told.merged
     assert "fit equally well" in told.reason
     assert told.rival is not None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("made", "seed", "verdict"),
+    [(office, 700037, "right"), (office, 700079, "right"), (symmetric, 930023, "refused")],
+)
+def test_another_place_is_in_question_unless_walls_stand_amid_free_floor_there(made, seed, verdict):
+    """Offices whose rooms lie alike turned round, told by what was seen through; the same building turned, bent."""
+    rng = np.random.default_rng([seed, 17])
+    pair = made(rng, float(rng.uniform(0.0, 0.8)))
+    told = merge_maps(pair.a, pair.b)
+    assert judged(pair, told.transform) == verdict, told.reason
+    assert told.rival is not None
+    assert ("fit equally well" in told.reason) is (verdict == "refused")
 
 
 @pytest.fixture(scope="module")

@@ -16,8 +16,10 @@ LENIENT = 2.0  # times what the best place contradicts, at another place leaves 
 RIVAL_LEAD = 5.0  # times the evidence of any other place that is not contradicted
 RIVAL_SHARE = 0.1  # of the best place's points seen alike, at another place the maps allow,
 RIVAL_SEEN = 100  # points alike there at least,
-RIVAL_ALIKE = 0.85  # share of what both saw on which they agree there, and
+RIVAL_ALIKE = 0.8  # share of what both saw on which they agree there, and
 RIVAL_CLEAR = 0.98  # share of it, but for points close to walls
+RIVAL_WALLS = 0.01  # of what both saw: walls that one saw amid the other's free floor, beside those at the best place,
+RIVAL_POINTS = 4  # which these few points are in any case
 LIGHT_TELLS = 0.6  # correlation of the walls' brightness from which on it tells places apart, and
 LIGHT_RIVAL = 0.5  # of it, where another place has less it is as likely as a false start
 LEAST_HELD = 0.02  # information along the worst direction over that along the best
@@ -86,6 +88,17 @@ class Pair(NamedTuple):
         return self._replace(light=max(seen, default=None))
 
 
+def possible(other: Candidate, best: Candidate) -> bool:
+    """Whether the views contradict walls at another place hardly more than at the best one.
+
+    In a building that looks alike elsewhere walls lie on walls there too, but some stand amid free floor. What is
+    smaller than a wall proves nothing: desks are moved.
+    """
+    seen = other.seen
+    amid = (1.0 - seen.walled) * seen.alike / max(seen.walled, 1e-9)
+    return amid <= max(RIVAL_POINTS, (RIVAL_WALLS + LENIENT * (1.0 - best.seen.walled)) * seen.alike)
+
+
 def allowed(pair: Pair, other: Candidate, best: Candidate) -> bool:
     """Whether the maps might as well lie as `other` says: no wall amid free floor, much in common and alike.
 
@@ -95,12 +108,13 @@ def allowed(pair: Pair, other: Candidate, best: Candidate) -> bool:
         return False
     seen = other.seen
     enough = seen.alike >= max(RIVAL_SEEN, RIVAL_SHARE * best.seen.alike)
-    return enough and seen.clear >= RIVAL_CLEAR and seen.share >= RIVAL_ALIKE
+    return enough and seen.clear >= RIVAL_CLEAR and seen.share >= RIVAL_ALIKE and possible(other, best)
 
 
 def doubtful(pair: Pair, best: Candidate, rival: Candidate) -> bool:
     """Whether the maps might lie as `rival` says; what a start and brightness say is in its evidence."""
-    return RIVAL_LEAD * pair.against(rival, best) > 1.0 or allowed(pair, rival, best)
+    likely = RIVAL_LEAD * pair.against(rival, best) > 1.0 and possible(rival, best)
+    return likely or allowed(pair, rival, best)
 
 
 class Grip(NamedTuple):
