@@ -72,7 +72,7 @@ class Fleet:
             "--rate",
             rate,
             "--linger",
-            "60",
+            linger,
             *where,
             *words,
         )

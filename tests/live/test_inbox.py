@@ -114,6 +114,10 @@ def test_a_stranger_a_forged_name_and_another_history_are_counted_and_harm_nobod
     hear(inbox, told)
     assert inbox.log("r1").log_hash == team()[0].log_hash
     assert len([line for line in inbox.news if "refused" in line]) == 4
+    assert inbox.unused() == {name: f"not expected: {name} is not one of --robots" for name in ("r9", "r2")}
+    assert inbox.not_used() == [
+        "r1: other history: another robot has this name, or it began a new history: not used",
+    ]
 
 
 def test_two_robots_of_one_name_in_the_log_cannot_both_be_in_the_map(store):
@@ -122,6 +126,7 @@ def test_two_robots_of_one_name_in_the_log_cannot_both_be_in_the_map(store):
     hear(inbox, payloads(team()[0], "twin"), robot="twin")
     assert "r1 is robot1 already" in inbox.ledgers["twin"].fault
     assert inbox.ledgers["twin"].complete
+    assert inbox.unused() == {"twin": inbox.ledgers["twin"].fault}
     assert [r for r, x in inbox.ledgers.items() if x.record is not None] == ["r1"]
 
 

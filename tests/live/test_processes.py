@@ -1,5 +1,6 @@
 """Real processes, killed and started again: the map is the one that `map` makes of the same logs, to the byte."""
 
+import json
 import sqlite3
 import time
 from contextlib import closing
@@ -28,6 +29,26 @@ def test_a_team_that_drives_gives_the_map_of_its_logs_whoever_is_killed_meanwhil
         assert fleet.wait(name) == 0, fleet.said(name)
     same_result(direct, fleet.folder / "out-map")
     assert "1 map processes have all of them" in fleet.said("r2")
+
+
+@pytest.mark.slow
+def test_a_robot_under_a_taken_name_is_told_at_its_terminal_at_the_station_and_in_the_result(fleet):
+    fleet.map(robots="r1,r2,twin")
+    fleet.robot("r1", rate="inf")
+    assert fleet.wait("r1") == 0, fleet.said("r1")
+    fleet.robot("twin", "--robot", "1", rate="inf", linger="3")
+    assert fleet.wait("twin") == 1, fleet.said("twin")
+    assert "not used by map process map: message 0: name taken: r1 is robot1 already" in fleet.said("twin")
+    fleet.robot("r1", "--robot", "2", "--fresh", rate="inf", linger="3")
+    assert fleet.wait("r1") == 1, fleet.said("r1")
+    assert "not used by map process map: it has another history under this name" in fleet.said("r1")
+    fleet.robot("r2", rate="inf")
+    assert fleet.wait("map") == 0, fleet.said("map")
+    metrics = json.loads((fleet.folder / "out-map" / "metrics.json").read_text())
+    told = [row["text"] for row in metrics["findings"] if row["code"] == "network-told"]
+    assert metrics["verdict"] == "doubtful"
+    assert any("twin: message 0: name taken" in text for text in told)
+    assert any("r1: other history" in text for text in told)
 
 
 @pytest.mark.long

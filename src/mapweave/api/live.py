@@ -7,7 +7,7 @@ import webbrowser
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from threading import Event
@@ -31,7 +31,7 @@ from ..live.landmark_robot import LandmarkRobot
 from ..live.laser_robot import LaserRobot
 from ..live.map_process import MapProcess
 from ..live.messages import Header, check_name
-from ..live.robot import Pace, RobotProcess
+from ..live.robot import Listeners, Pace, RobotProcess
 from ..live.sources import messages, open_recording, open_source
 from ..live.store import Store, begun
 from ..live.told import follow
@@ -58,7 +58,8 @@ if TYPE_CHECKING:
 class LiveRobot(ResultBase):
     """How a robot's live run ended. messages: sent, all on its disk; heard_by: map processes that have all.
 
-    history: the file that keeps them; sizes: of each message [bytes].
+    history: the file that keeps them; sizes: of each message [bytes]; unused: map process -> why it uses nothing, or
+    nothing more, of them.
     """
 
     name: str
@@ -66,6 +67,7 @@ class LiveRobot(ResultBase):
     heard_by: int
     history: Path
     sizes: tuple[int, ...]
+    unused: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def metrics(self) -> dict[str, Any]:
@@ -75,13 +77,15 @@ class LiveRobot(ResultBase):
             "messages": self.messages,
             "bytes": sum(self.sizes),
             "heard_by": self.heard_by,
+            "unused": dict(self.unused),
             "history": str(self.history),
         }
 
     def lines(self) -> list[str]:
         heard = f"{self.heard_by} map process{' has' if self.heard_by == 1 else 'es have'} all of them"
         sent = f"{self.name}: {self.messages} messages, {sum(self.sizes) / 1e3:.1f} kB, kept in {self.history}"
-        return [sent, heard if self.heard_by else "no map process has all of them yet"]
+        unused = [f"not used by map process {name}: {why}" for name, why in self.unused.items()]
+        return [sent, heard if self.heard_by else "no map process has all of them yet", *unused]
 
     def draw(self, target: "Target") -> None:
         """How much it told, message by message."""
@@ -188,8 +192,8 @@ def live_robot(
             if fresh:
                 store.clear()
             run = begun(store, "laser", period)
-            sent, heard = drive_ros2(name, options, store, run, period, linger, config, network, stop, say, wall)
-            return LiveRobot(name, sent, heard, path, store.sizes(name))
+            sent, ears = drive_ros2(name, options, store, run, period, linger, config, network, stop, say, wall)
+            return _ended(name, sent, ears, store)
     if follow:
         if ros is not None or rate != 1.0:
             raise UsageError("--follow: a recording that is still written has neither --rate nor options of ROS graphs")
@@ -211,7 +215,12 @@ def live_robot(
             say(f"{name}: {log.robot} of {source}, team {network.team}, history in {path}")
             expected = bool(network.connect or network.listen)
             sent = process.run(messages(log, name, run, period), driving, Pace(rate, linger, expected), stop)
-            return LiveRobot(name, sent, process.heard_by, path, store.sizes(name))
+            return _ended(name, sent, process.listeners, store)
+
+
+def _ended(name: str, sent: int, listeners: Listeners, store: Store) -> LiveRobot:
+    heard_by = sum(have >= sent for have in listeners.have.values())
+    return LiveRobot(name, sent, heard_by, store.path, store.sizes(name), dict(listeners.unused))
 
 
 def _check_pace(rate: float, period: float, linger: float) -> None:
@@ -250,7 +259,7 @@ def _following(
             sent = process.follow(
                 feed, partial(_driving, settings=config), Pace(linger=linger), feed.ended, lambda _: None
             )
-            return LiveRobot(name, sent, process.heard_by, history, store.sizes(name))
+            return _ended(name, sent, process.listeners, store)
 
 
 def _driving(header: Header, settings: AnyConfig | None) -> LandmarkRobot | LaserRobot:
@@ -368,7 +377,7 @@ def live_map(
         for line in process.summary():
             say(line)
         result = _final(inbox, _with_starts(options, known, inbox, say), process.finding)
-    result = _with_findings(result, tuple(process.findings))
+    result = _with_findings(result, (*process.findings, *inbox.not_used()))
     result.write(out, force=force)
     return result
 

@@ -12,7 +12,7 @@ from ..core.errors import UsageError
 from ..core.paths import AnyConfig
 from ..live.laser_robot import LaserRobot
 from ..live.messages import Header, RefusedError
-from ..live.robot import Driving, Pace, RobotProcess
+from ..live.robot import Driving, Listeners, Pace, RobotProcess
 from ..live.ros2.feed import Chosen, RosFeed
 from ..live.ros2.shown import RosView
 from ..live.store import Store
@@ -68,8 +68,8 @@ def drive_ros2(
     stop: Event,
     say: Say,
     wall: Callable[[], float] = time.time,
-) -> tuple[int, int]:
-    """Drives `name` by what its ROS graph tells, until `stop`; how many messages there are, how many have all.
+) -> tuple[int, Listeners]:
+    """Drives `name` by what its ROS graph tells, until `stop`; how many messages there are, and who hears them.
 
     options: checked against the network.
     """
@@ -80,7 +80,7 @@ def drive_ros2(
         mine = _graph_network(options, network)
         graph = open_ones.enter_context(_reached(mine, stop, lambda words: say(f"{name}: {words}")))
         if graph is None:
-            return 0, 0
+            return 0, Listeners()
         team = graph if options.graph is None else open_ones.enter_context(session(network))
         process = RobotProcess(name, team, topics, store, say, wall)
         process.join()
@@ -111,7 +111,7 @@ def drive_ros2(
             held.clear()
         if refused := feed.summary():
             say(f"{name}: refused {refused}")
-        return sent, process.heard_by
+        return sent, process.listeners
 
 
 def _graph_network(options: RosOptions, network: Network) -> Network:

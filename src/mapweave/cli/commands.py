@@ -8,7 +8,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
 
-from ..core.errors import UsageError
+from ..core.errors import DataError, UsageError
 from .arguments import (
     DIM,
     LASER,
@@ -203,6 +203,9 @@ def _driven(robots: list[Any], asked: Asked) -> None:
     del asked
     for done in robots:
         say(f"{done.name}: {done.messages} messages, {done.heard_by} map processes have all of them")
+    unused = [f"{done.name}: not used by map process {at}: {why}" for done in robots for at, why in done.unused.items()]
+    if unused:
+        raise DataError("; ".join(unused))
 
 
 def _live_map(collect: Callable[..., Any], asked: Asked) -> Any:

@@ -266,7 +266,8 @@ def _states(state: MapState) -> None:
     _within(LATEST, "a stamp", state.clock)
     _within(MOST_COUNTED, "a count", state.fused)
     _expect(len(state.robots) <= MOST_ROBOTS, f"{len(state.robots)} robots", "oversized")
-    _texts(*state.decisions)
+    _texts(*state.decisions, *state.unused.values())
+    _names(*state.unused)
     _counts(state.refused)
     for robot in state.robots:
         _names(robot.robot)

@@ -46,6 +46,9 @@ IN_VAIN = 3  # questions without an answer of use until the robot itself is aske
 MOST_UNSAVED = 256 << 20  # [bytes] that a full disk may leave in memory
 MOST_THERE = 1_000  # names of robots that are there, heard of or not
 MOST_REASONS = 50  # that messages of one speaker are refused for
+OTHER = "other history", "another robot has this name, or it began a new history"
+NOT_EXPECTED = "not expected"
+TURNED_AWAY = {NOT_EXPECTED, "too many robots"}  # reasons for which a robot is not heard at all
 RIVALS = "?"  # after a robot's name, which has none in it: what was told in its name beside what is used
 
 
@@ -128,6 +131,7 @@ class Inbox:
     def __init__(self, store: Store, expected: Sequence[str] | None = None) -> None:
         self.ledgers: dict[str, Ledger] = {}
         self.refused: Counter[str] = Counter()
+        self._turned_away: dict[str, str] = {}
         self._there: set[str] = set()
         self.news: deque[str] = deque(maxlen=100)
         self._expected = None if expected is None else set(expected)
@@ -170,6 +174,8 @@ class Inbox:
     def _count(self, speaker: str, refused: RefusedError) -> None:
         known = self.ledgers.get(speaker)
         counts = self.refused if known is None else known.refused
+        if refused.reason in TURNED_AWAY and len(self._turned_away) < STATED:
+            self._turned_away[speaker] = str(refused)
         if len(counts) > MOST_REASONS and refused.reason not in counts:
             return
         counts[refused.reason] += 1
@@ -196,7 +202,7 @@ class Inbox:
 
     def _expect(self, robot: str) -> None:
         if self._expected is not None and robot not in self._expected:
-            raise RefusedError("not expected", f"{robot} is not one of --robots")
+            raise RefusedError(NOT_EXPECTED, f"{robot} is not one of --robots")
 
     @staticmethod
     def _note_gap(ledger: Ledger, now: float) -> None:
@@ -215,7 +221,7 @@ class Inbox:
         if run != ledger.run:
             if not ledger.own and len(ledger.rivals) < STATED:
                 ledger.rivals.add(run)
-            raise RefusedError("other history", "another robot has this name, or it began a new history")
+            raise RefusedError(*OTHER)
         return ledger
 
     def _make_room(self) -> None:
@@ -338,6 +344,18 @@ class Inbox:
                 unsaved = {seq for robot, seq in self._unsaved if robot == ledger.robot}
                 ledger.held = {*self._store.numbers(ledger.robot), *unsaved}
                 self._advance(ledger)
+
+    def unused(self) -> dict[str, str]:
+        """Robots of whom nothing, or nothing more, is used, and why."""
+        faults = {name: x.fault for name, x in self.ledgers.items() if x.fault and not x.doubted}
+        away = {name: why for name, why in self._turned_away.items() if name not in self.ledgers}
+        return away | faults
+
+    def not_used(self) -> list[str]:
+        """A line for each history of which nothing, or nothing more, is used, but of who is not `expected`."""
+        others = [f"{name}: {': '.join(OTHER)}" for name, x in self.ledgers.items() if x.refused[OTHER[0]]]
+        unused = [f"{name}: {why}" for name, why in self.unused().items() if not why.startswith(NOT_EXPECTED)]
+        return [f"{line}: not used" for line in others + unused]
 
     def presence(self, robot: str, *, there: bool) -> None:
         """Whether the robot is there now, known of it or not."""

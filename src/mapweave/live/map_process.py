@@ -542,8 +542,9 @@ class MapProcess:
             fused=self.shared.fused,
             robots=[self._robot(ledger, now) for _, ledger in sorted(self.inbox.ledgers.items())],
             landmarks=self.shared.landmarks,
-            decisions=[*self.findings, *self.shared.decisions],
+            decisions=[*self.findings, *self.inbox.not_used(), *self.shared.decisions],
             refused=refused,
+            unused=self.inbox.unused(),
         )
 
     def _robot(self, ledger: Ledger, now: float) -> RobotState:

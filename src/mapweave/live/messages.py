@@ -205,7 +205,10 @@ class LandmarkState(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class MapState(_Message, tag="map", frozen=True):
-    """The shared map as it stands. clock: the map process's wall clock [s]; refused: messages of no known robot."""
+    """The shared map as it stands. clock: the map process's wall clock [s]; refused: messages of no known robot.
+
+    unused: robots of whom nothing, or nothing more, is used, and why.
+    """
 
     map: str
     clock: float
@@ -214,6 +217,7 @@ class MapState(_Message, tag="map", frozen=True):
     landmarks: list[LandmarkState]
     decisions: list[str]
     refused: dict[str, int] = {}
+    unused: dict[str, str] = {}
 
 
 class Tile(_Message, tag="tile", frozen=True):

@@ -21,6 +21,7 @@ DISK_AGAIN = 1.0  # [s] until a full disk is tried again
 TICK = 0.05  # [s] that a feed is waited for
 UNHEARD = 5.0  # [s] until it is told that no map process was heard of
 MOST_MAPS = 64  # map processes that are heard: names may be invented
+OTHER_RUN = "it has another history under this name: --fresh there, or another name here"
 GRACE = 1.0  # [s] after the last message, for a map process to be heard of
 
 Say = Callable[[str], None]
@@ -68,12 +69,13 @@ class Pace:
 class Listeners:
     """Map processes that are there, and how many messages each has of this robot.
 
-    part: of each map process's map in which this robot stands, 1 the largest, 0 none; corrections: where its frame is
-    in that.
+    unused: why one uses nothing, or nothing more, of it. part: of each map process's map in which this robot stands, 1
+    the largest, 0 none; corrections: where its frame is in that.
     """
 
     there: set[str] = field(default_factory=set)
     have: dict[str, int] = field(default_factory=dict)
+    unused: dict[str, str] = field(default_factory=dict)
     ever: bool = False
     part: dict[str, int] = field(default_factory=dict)
     corrections: dict[str, Correction] = field(default_factory=dict)
@@ -130,11 +132,6 @@ class RobotProcess:
             s.liveliness().declare_subscriber(t.map_alive(), callback(self._map_there), history=True),
             s.liveliness().declare_token(t.alive(self.name)),
         ]
-
-    @property
-    def heard_by(self) -> int:
-        """How many map processes have every message."""
-        return sum(n > self.last for n in tuple(self.listeners.have.values()))
 
     def run(self, messages: Timed, driving: Driving, pace: Pace, stop: Event) -> int:
         """All of `messages`, each at its time; how many there are now.
@@ -360,9 +357,22 @@ class RobotProcess:
             return
         if isinstance(state, MapState) and state.map == self._topics.map_of(str(sample.key_expr)):
             mine = next((robot for robot in state.robots if robot.robot == self.name), None)
+            why = state.unused.get(self.name, "")
+            if mine is not None and mine.run != self._header[0]:
+                mine, why = None, OTHER_RUN
+            self._note_unused(state.map, why)
             self.listeners.have[state.map] = 0 if mine is None else mine.have
             self.listeners.part[state.map] = 0 if mine is None else mine.component
             self.listeners.ever = True  # a liveliness token may be long in coming over a slow link
+
+    def _note_unused(self, named: str, why: str) -> None:
+        """Whether, and why, this map process uses nothing more of the robot; told when it changes."""
+        if why and self.listeners.unused.get(named) != why:
+            self._say(f"{self.name}: not used by map process {named}: {why}")
+        if why:
+            self.listeners.unused[named] = why
+        else:
+            self.listeners.unused.pop(named, None)
 
     def _hear_correction(self, sample: Sample) -> None:
         try:
