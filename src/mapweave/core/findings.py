@@ -648,6 +648,12 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "Too little tells where the robot was; that part of its path is left out.",
             "Drive where other robots or known landmarks are seen.",
         ),
+        "fits-otherwise": FindingKind(
+            "doubtful",
+            "what was seen fits another map about as well, with landmarks or robots up to {value:.2f} m elsewhere",
+            "Too few sightings, too noisy or too many of them wrong, tell where robots were.",
+            "Drive longer, or let robots see each other and the same landmarks more often.",
+        ),
         "placed-anew": FindingKind(
             "note",
             "its own map did not fit the others', {value:.0f} of {all:.0f} sightings place it",

@@ -33,7 +33,11 @@ FEW_RAISED = 0.5  # share added to what fewer groups tell, as of Morel, Bokossa 
 MOST_CORRECTED = 4.0  # largest factor for what landmarks and calibration took out of the residuals
 POSITION_FLOOR = 0.01  # [m] added to every standard deviation of a place
 HEADING_FLOOR = 0.003  # [rad] added to every standard deviation of a heading
-SMOOTHING_SOFTEN = (8.0, 3.0)  # times as wide kernels are before the end, where starts are far off
+SMOOTHING_SOFTEN = (8.0, 3.0)  # times as wide kernels are before the end, where starts are far off,
+SMOOTHING_OTHERWISE = ((), (16.0, 4.0))  # and other ways to an end then: the best of all is taken
+MINIMA_LEAD = 10.0  # cost, in what poses' covariances are inflated by, by which it must be better than another end
+MINIMA_APART = 0.3  # [m], and
+MINIMA_SURE = 3.0  # standard deviations, that a landmark or a robot lies apart in another end
 
 ONLINE_STRETCH = 10.0  # [s] of a stretch, whose poses are eliminated together
 ONLINE_WINDOW = 2  # stretches, the latest, that are linearised anew at every step

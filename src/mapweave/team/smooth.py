@@ -20,7 +20,7 @@ from ..landmarks.landmark_map import LandmarkMap
 from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import blended
 from ..mapping.woven_map import Georeference
-from ..solve import SingularError, Solution, SolveStatus
+from ..solve import Pattern, SingularError, Solution, SolveStatus
 from .clocks import RobotClock, clocks_of
 from .commanded_motion import LAG, TURN
 from .config import (
@@ -33,6 +33,10 @@ from .config import (
     CLOCK_TRIED,
     CLUSTER,
     GAIN_SURE,
+    MINIMA_APART,
+    MINIMA_LEAD,
+    MINIMA_SURE,
+    SMOOTHING_OTHERWISE,
     CameraNoise,
     SmoothingConfig,
 )
@@ -98,7 +102,8 @@ def smooth(
     labels[robot]: own landmark name -> name in the map. calibration: what is known beforehand of some robots, in place
     of the prior; a standard deviation of 0 holds a value. scans[robot]: the keyframes of a robot with a laser;
     crossings: those of two robots that were matched. soften: before the end, every kernel is so many times as wide, one
-    after the other, for starts that are far off; known: places known beforehand, in the map's frame; clocks: robots
+    after the other, for starts that are far off: then other ways are gone too, the end that fits best is taken, and one
+    elsewhere that fits about as well is told; known: places known beforehand, in the map's frame; clocks: robots
     whose clocks are told however little they are off. Poses stand at every odometry and sighting stamp. Where the
     problem has no minimum near the start, the map stays as it was and `refused` says why. Where nobody has wheels or a
     laser the map is larger than the filters' by what maps made of ranges alone fall short (`bare_range_scale`).
@@ -124,11 +129,9 @@ def smooth(
     )
     if not set(problem.used) - {"scan"}:
         return _kept(team, cfg, "nobody saw a landmark of the map or another robot", problem)
-    x, pattern = None, problem.pattern
-    for width in soften:
-        x = problem.softened(width).solve(x, pattern).x
-    solution = problem.solve(x, pattern)
-    if solution.status in {SolveStatus.SINGULAR, SolveStatus.DIVERGED} or not np.isfinite(solution.x).all():
+    pattern = problem.pattern
+    solution, *others = _minima(problem, soften, pattern)
+    if not _ended(solution):
         return _kept(team, cfg, f"the problem of the whole team is {solution.status}", problem, solution)
     try:
         cov = team_covariance(problem, solution, start.landmarks.cov, pattern)
@@ -149,10 +152,49 @@ def smooth(
         iterations=solution.iterations,
         status=str(solution.status),
         prior=_prior(cfg),
-        notes=notes,
+        notes=(*notes, *_ambiguous(problem, solution, others, cov)),
         cost=solution.cost,
         clocks=clocks_of(problem, solution, CLOCK_SUSPECT, CLUSTER, clocks),
     )
+
+
+def _ended(solution: Solution) -> bool:
+    return solution.status not in {SolveStatus.SINGULAR, SolveStatus.DIVERGED} and bool(np.isfinite(solution.x).all())
+
+
+def _minima(problem: TeamProblem, soften: Sequence[float], pattern: Pattern) -> list[Solution]:
+    """Where the problem ends by each way to an end, the best first; by one way where the start is near."""
+    ends = []
+    for widths in dict.fromkeys([tuple(soften), *(SMOOTHING_OTHERWISE if soften else ())]):
+        x = None
+        for width in widths:
+            x = problem.softened(width).solve(x, pattern).x
+        ends.append(problem.solve(x, pattern))
+    return sorted(ends, key=lambda end: (not _ended(end), end.cost))
+
+
+def _ambiguous(
+    problem: TeamProblem, best: Solution, others: Sequence[Solution], cov: TeamCovariance
+) -> tuple[Finding, ...]:
+    """That another end fits about as well, by how much it lies apart where it does so most, if one does."""
+    lead = MINIMA_LEAD * max(1.0, *cov.inflation)
+    m = 2 * len(problem.landmarks)
+    spots = np.concatenate(
+        [
+            problem.landmark_start + np.arange(0, m, 2),
+            *(part.start + np.arange(0, 3 * len(part.instants.t), 3) for part in problem.parts),
+        ]
+    )
+    variance = np.concatenate(
+        [np.diag(cov.landmarks).reshape(-1, 2).sum(axis=1), *(P[:, 0, 0] + P[:, 1, 1] for P in cov.poses)]
+    )
+    apart = [np.hypot(*(end.x - best.x)[spots + np.array([[0], [1]])]) for end in others if _as_good(end, best, lead)]
+    far = max((float(d[d > MINIMA_SURE * np.sqrt(variance)].max(initial=0.0)) for d in apart), default=0.0)
+    return (Finding("fits-otherwise", value=far),) if far > MINIMA_APART else ()
+
+
+def _as_good(end: Solution, best: Solution, lead: float) -> bool:
+    return _ended(end) and end.cost < best.cost + lead
 
 
 def of_ranges_alone(logs: Sequence[LandmarkLog], scans: Collection[str]) -> bool:
