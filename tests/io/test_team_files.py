@@ -1,5 +1,6 @@
 """Landmarks and trajectories to files and back."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -114,4 +115,48 @@ def test_spans_that_are_left_out_come_back_from_the_metrics(tmp_path):
     assert back.left_out == {"robot2": ((1.2e9 + 1.5, 1.2e9 + 4.25),)}
     write_json(tmp_path / "metrics.json", {"version": "0", "left_out": {"2": [3.0]}})
     with pytest.raises(ReaderError, match=r"metrics\.json: left_out: expected lists of"):
+        read_team_maps(tmp_path)
+
+
+def _moved(text):
+    return re.sub(r"(?m)^6,[^,]*", "6,5.0", text)
+
+
+def _half(text):
+    return "".join(text.splitlines(keepends=True)[:25])
+
+
+def _no_variance(text):
+    return text.replace("1.000000e-04", "-1.000000e-04")
+
+
+@pytest.mark.parametrize(
+    ("name", "spoilt"),
+    [
+        ("trajectories/robot2.tum", _half),
+        ("trajectories/robot2.tum", lambda text: re.sub(r"(?m)^1200000000\.0", "1200000000.1", text)),
+        ("trajectories/robot2.tum", lambda text: re.sub(r"0 0 0 \S+ \S+", "0 0 0 0 0", text, count=1)),
+        ("trajectories/robot2.cov.csv", _half),
+        ("trajectories/robot2.cov.csv", _no_variance),
+        ("trajectories/robot2.cov.csv", lambda text: text.replace("2.000000e-04", "nan", 1)),
+        ("landmarks.csv", _moved),
+    ],
+)
+def test_a_result_whose_files_contradict_each_other_is_refused(tmp_path, name, spoilt):
+    team = a_team()
+    write_landmarks(tmp_path, team)
+    write_tracks(tmp_path, team)
+    assert len(read_team_maps(tmp_path)) == 1
+    path = tmp_path / name
+    before = path.read_text()
+    path.write_text(spoilt(before))
+    assert path.read_text() != before
+    with pytest.raises(ReaderError, match=r"robot2|landmarks\.csv"):
+        read_team_maps(tmp_path)
+
+
+@pytest.mark.parametrize("wrong", [-np.eye(6), np.eye(6) + 5.0 * np.eye(6, k=1)])
+def test_landmarks_with_what_is_no_covariance_are_refused(tmp_path, wrong):
+    write_landmarks(tmp_path, replace(a_team(), landmarks=replace(a_team().landmarks, cov=wrong)))
+    with pytest.raises(ReaderError, match=r"landmarks\.npz: cov"):
         read_team_maps(tmp_path)

@@ -21,7 +21,7 @@ from .positions import Positions, read_network, read_positions, read_track, trac
 from .ros_map import RosMap, read_ros_map
 from .table import Table, read_table
 from .team_map import read_landmarks
-from .tum import read_track_covariance, read_tum
+from .tum import read_result_track
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,10 +81,8 @@ def _part(folder: Path) -> Finished:
     tracks: dict[str, Track] = {}
     home = folder / "trajectories"
     for path in sorted(home.rglob("*.tum"), key=lambda p: in_order(p.as_posix())):
-        cov = path.with_suffix(".cov.csv")
-        track = read_tum(path)
         name = path.relative_to(home).with_suffix("").as_posix()
-        tracks[name] = read_track_covariance(cov, track) if cov.exists() else track
+        tracks[name] = read_result_track(path)
     walls, landmarks, log = folder / "map.yaml", folder / "landmarks.npz", folder / "log"
     truth = {} if tracks or not log.is_dir() else {name: track for name, (track, _) in read_robot_truth(log).items()}
     return Finished(

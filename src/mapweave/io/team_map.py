@@ -12,6 +12,7 @@ from typing import Any, TypeGuard
 import numpy as np
 
 from ..core.errors import ReaderError
+from ..core.gaussian import is_positive_definite
 from ..core.names import in_order, robot_key, robot_name
 from ..landmarks.landmark_map import LandmarkMap
 from ..team.robot_part import PARAMETERS
@@ -20,8 +21,10 @@ from ..team.team_map import TeamMap
 from .directory import read_json, write_json
 from .npz import read_npz, write_npz
 from .table import read_table, write_table
-from .tum import read_tum, write_track_covariance, write_tum
+from .tum import read_result_track, write_track_covariance, write_tum
 
+WRITTEN = 1e-6  # [m] that places in two files may be apart
+ROUNDED = 1e-9  # of the greatest variance that a covariance may be off one
 HEAD = "id,x,y,var_x,cov_xy,var_y,robots,sightings"
 
 
@@ -29,9 +32,15 @@ def read_landmarks(path: Path, frame: str = "map") -> LandmarkMap:
     """The map in a `landmarks.npz`; raises ReaderError when it is damaged."""
     held = read_npz(path, {"ids": ("text", ("n",)), "mean": ("number", ("n", 2)), "cov": ("number", ("2n", "2n"))})
     try:
-        return LandmarkMap(tuple(str(name) for name in held["ids"]), held["mean"], held["cov"], frame)
+        made = LandmarkMap(tuple(str(name) for name in held["ids"]), held["mean"], held["cov"], frame)
     except ValueError as error:
         raise ReaderError(path, f"expected ids, mean and cov of landmarks: {error}") from None
+    slack = ROUNDED * float(np.abs(made.cov).max(initial=0.0))
+    if np.abs(made.cov - made.cov.T).max(initial=0.0) > slack:
+        raise ReaderError(path, "cov: expected a symmetric matrix, found another")
+    if slack > 0 and not is_positive_definite(made.cov + slack * np.eye(len(made.cov))):
+        raise ReaderError(path, "cov: expected a covariance, found a matrix with negative eigenvalues")
+    return made
 
 
 def read_members(path: Path) -> tuple[dict[str, tuple[str, ...]], dict[str, int]]:
@@ -173,8 +182,10 @@ def _component(folder: Path, gaps: Mapping[str, tuple[tuple[float, float], ...]]
     table = folder / "landmarks.csv"
     members, sightings = read_members(table) if table.exists() else ({}, {})
     held = folder / "landmarks.npz"
+    if table.exists() and held.exists():
+        _expect_same(table, read_landmarks(held))
     empty = LandmarkMap((), np.zeros((0, 2)), np.zeros((0, 0)))
-    by_robot = {p.relative_to(tracks).with_suffix("").as_posix(): read_tum(p) for p in paths}
+    by_robot = {p.relative_to(tracks).with_suffix("").as_posix(): read_result_track(p) for p in paths}
     return TeamMap(
         robots=tuple(by_robot),
         landmarks=read_landmarks(held) if held.exists() else empty,
@@ -183,6 +194,17 @@ def _component(folder: Path, gaps: Mapping[str, tuple[tuple[float, float], ...]]
         sightings=sightings,
         left_out={robot: spans for robot, spans in gaps.items() if robot in by_robot},
     )
+
+
+def _expect_same(path: Path, landmarks: LandmarkMap) -> None:
+    """Raises ReaderError unless the table's landmarks lie where those of the arrays do."""
+    table = read_table(path)
+    mean = dict(zip(landmarks.ids, landmarks.mean, strict=True))
+    if not {"x", "y"} <= set(table.columns):
+        return
+    for k, (name, x, y) in enumerate(zip(table.names("id"), table.finite("x"), table.finite("y"), strict=True)):
+        if name not in mean or np.abs(mean[name] - (x, y)).max() > WRITTEN * max(1.0, np.abs(mean[name]).max()):
+            raise ReaderError(path, f"landmark {name} does not lie where landmarks.npz has it", k + 2)
 
 
 def write_tracks(folder: Path, team: TeamMap) -> None:

@@ -13,6 +13,9 @@ from .table import open_text, write_rows
 COVARIANCE_HEAD = "t,xx,xy,yy,xt,yt,tt"
 
 LARGEST = 1e100  # whose square is a number yet
+UNIT = 0.01  # by which the norm of a quaternion may be off 1
+STAMP = 1e-5  # [s] by which two files may differ that round to microseconds
+ROUNDED = 1e-5  # of the greatest variance that the least eigenvalue of a covariance may lie below 0, of rounding
 
 
 def read_tum(path: Path, frame: str = "map") -> Track:
@@ -48,6 +51,18 @@ def read_tum_rows(path: Path) -> Float[np.ndarray, "n 8"]:
     held = np.array(rows)
     held = held[np.argsort(held[:, 0], kind="stable")]
     return np.asarray(held[np.append(np.diff(held[:, 0]) > 0, True)])
+
+
+def read_result_track(path: Path) -> Track:
+    """The trajectory of a result, with the covariances beside it where there are any.
+
+    Raises ReaderError for a line that does not parse or turns no way, and for covariances of other stamps.
+    """
+    rows = read_tum_rows(path)
+    if not (np.abs(np.linalg.norm(rows[:, 4:], axis=1) - 1.0) < UNIT).all():
+        raise ReaderError(path, "expected unit quaternions, found another")
+    beside = path.with_suffix(".cov.csv")
+    return read_track_covariance(beside, track_from(rows)) if beside.exists() else track_from(rows)
 
 
 def track_from(rows: np.ndarray, frame: str = "map") -> Track:
@@ -90,7 +105,8 @@ def write_track_covariance(path: Path, track: Track) -> None:
 def read_track_covariance(path: Path, track: Track) -> Track:
     """`track` with the covariances of the file written beside it.
 
-    Raises ReaderError where the file does not hold seven finite numbers for each pose.
+    Raises ReaderError where the file does not hold seven finite numbers for each pose, at its stamp, or a matrix that
+    is no covariance.
     """
     try:
         rows = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
@@ -98,8 +114,15 @@ def read_track_covariance(path: Path, track: Track) -> Track:
         raise ReaderError(path, f"expected the covariances of a trajectory: {error}") from None
     if rows.shape != (len(track.t), 7) or not np.isfinite(rows).all():
         raise ReaderError(
-            path, f"expected {len(track.t)} rows of {COVARIANCE_HEAD}, found {len(rows)} or other numbers"
+            path, f"expected {COVARIANCE_HEAD} of {len(track.t)} poses beside it, found {len(rows)} or other numbers"
         )
+    if (off := np.abs(rows[:, 0] - track.t) > STAMP).any():
+        k = int(np.argmax(off))
+        found = f"expected the pose at {track.t[k]:.6f} s, found {rows[k, 0]:.6f}: not of this trajectory"
+        raise ReaderError(path, found, k + 2)
     _, xx, xy, yy, xt, yt, tt = rows.T
     cov = np.stack([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]]).transpose(2, 0, 1)
+    least = np.linalg.eigvalsh(cov)[:, 0]
+    if (wrong := least < -ROUNDED * np.abs(cov).max(axis=(1, 2))).any():
+        raise ReaderError(path, "expected a covariance, found one with a negative variance", int(np.argmax(wrong)) + 2)
     return Track(track.t, track.pose, cov, track.frame)
