@@ -3,10 +3,11 @@
 import inspect
 from collections.abc import Callable, Mapping
 from functools import wraps
+from numbers import Integral
 from os import PathLike
 from pathlib import Path
 from types import NoneType
-from typing import Any, ClassVar, ParamSpec, Protocol, TypeVar, get_args, runtime_checkable
+from typing import Any, ClassVar, ParamSpec, Protocol, TypeVar, get_args, get_origin, runtime_checkable
 
 from .errors import UsageError
 
@@ -42,15 +43,24 @@ def kind_of(given: object) -> str:
     return "None" if given is None else type(given).__name__
 
 
+def _is_mapping(annotation: object) -> bool:
+    """Whether it is a mapping or None, and nothing else."""
+    kinds = get_args(annotation)
+    return NoneType in kinds and all(kind is NoneType or get_origin(kind) is Mapping for kind in kinds)
+
+
 def path_arguments(verb: Callable[P, T]) -> Callable[P, T]:
     """`verb` raises UsageError for anything but a path where its annotation is `Path | str`, or that and None.
 
-    So it does for anything but settings where it is `AnyConfig | None`.
+    So it does for anything but settings where it is `AnyConfig | None`, but a mapping where it is one or None, but a
+    whole number where it is `int`.
     """
     parameters = inspect.signature(verb).parameters
     names = tuple(parameters)
     wanted: dict[str, bool] = {}
     settings = {name for name, parameter in parameters.items() if parameter.annotation == AnyConfig | None}
+    whole = {name for name, parameter in parameters.items() if parameter.annotation is int}
+    mappings = {name for name, parameter in parameters.items() if _is_mapping(parameter.annotation)}
     for name, parameter in parameters.items():
         kinds = get_args(parameter.annotation)
         if Path in kinds and all(kind in (Path, str, NoneType) for kind in kinds):
@@ -65,6 +75,10 @@ def path_arguments(verb: Callable[P, T]) -> Callable[P, T]:
                 raise UsageError(
                     f"{name}: expected a TOML file, its tables or an object of settings, found {kind_of(given)}"
                 )
+            if name in whole and not isinstance(given, Integral):
+                raise UsageError(f"{name}: expected a whole number, found {kind_of(given)}")
+            if name in mappings and not isinstance(given, (Mapping, NoneType)):
+                raise UsageError(f"{name}: expected a mapping, found {kind_of(given)}")
         return verb(*args, **options)
 
     return checked
