@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from mapweave.core.errors import DataError, UsageError
+from mapweave.live.door import decode
 from mapweave.live.inbox import AGAIN, ANSWER, PATIENCE, Inbox
 from mapweave.live.landmark_stream import LandmarkRecord
-from mapweave.live.messages import Closed, Rows, Status, encode
+from mapweave.live.messages import Closed, MapState, Rows, Status, encode
 from mapweave.live.store import Store
 
 from .teams import messages, payloads, team
@@ -61,6 +62,21 @@ def test_a_new_process_knows_what_the_last_one_saved(tmp_path):
         hear(inbox, told)
         assert ledger.complete
         assert inbox.log("r1").log_hash == team()[0].log_hash
+
+
+def test_what_the_map_process_tells_of_those_not_used_passes_every_door_whatever_they_call_themselves(store):
+    inbox = Inbox(store, ["r1"])
+    for name in ("x" * 300, "a b", "", "r9"):
+        inbox.offer(name, b"nothing", 0.0)
+    assert set(inbox.unused()) == {"r9"}
+    assert inbox.not_used() == []
+    hear(inbox, payloads(team()[0])[:1])
+    inbox.ledgers["r1"].fault = "y" * 10_000
+    state = MapState(
+        map="m", clock=0.0, fused=0, robots=[], landmarks=[], decisions=inbox.not_used(), unused=inbox.unused()
+    )
+    assert decode(encode(state)) == state
+    assert set(state.unused) == {"r1", "r9"}
 
 
 def test_what_is_missing_is_asked_for_after_a_moment_and_again_when_nobody_answers(store):

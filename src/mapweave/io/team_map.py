@@ -182,13 +182,13 @@ def _component(folder: Path, gaps: Mapping[str, tuple[tuple[float, float], ...]]
     table = folder / "landmarks.csv"
     members, sightings = read_members(table) if table.exists() else ({}, {})
     held = folder / "landmarks.npz"
+    landmarks = read_landmarks(held) if held.exists() else LandmarkMap((), np.zeros((0, 2)), np.zeros((0, 0)))
     if table.exists() and held.exists():
-        _expect_same(table, read_landmarks(held))
-    empty = LandmarkMap((), np.zeros((0, 2)), np.zeros((0, 0)))
+        _expect_same(table, landmarks)
     by_robot = {p.relative_to(tracks).with_suffix("").as_posix(): read_result_track(p) for p in paths}
     return TeamMap(
         robots=tuple(by_robot),
-        landmarks=read_landmarks(held) if held.exists() else empty,
+        landmarks=landmarks,
         tracks=by_robot,
         members=members,
         sightings=sightings,

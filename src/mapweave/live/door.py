@@ -21,7 +21,6 @@ from .messages import LARGEST as LARGEST_MESSAGE
 from .messages import (
     LONGEST_NAME,
     MOST_LEVELS,
-    NAME,
     PROTOCOL,
     Closed,
     Correction,
@@ -37,6 +36,7 @@ from .messages import (
     Snapshot,
     Status,
     Tile,
+    is_name,
 )
 from .squeezed import stretch
 from .tiles import SIDE, is_tile
@@ -290,7 +290,7 @@ def _states(state: MapState) -> None:
 
 def _names(*names: str) -> None:
     for name in names:
-        _expect(len(name) <= LONGEST_NAME and NAME.fullmatch(name) is not None, f"name {name[:LONGEST_NAME]!r}")
+        _expect(is_name(name), f"name {name[:LONGEST_NAME]!r}")
 
 
 def _texts(*texts: str, most: int = MOST_TEXTS) -> None:

@@ -29,6 +29,7 @@ from .messages import (
     Scans,
     Snapshot,
     Status,
+    is_name,
 )
 from .store import Store
 
@@ -49,6 +50,7 @@ MOST_REASONS = 50  # that messages of one speaker are refused for
 OTHER = "other history", "another robot has this name, or it began a new history"
 NOT_EXPECTED = "not expected"
 TURNED_AWAY = {NOT_EXPECTED, "too many robots"}  # reasons for which a robot is not heard at all
+MOST_WHY = 500  # letters of why a robot is not used: its own words may be in it
 RIVALS = "?"  # after a robot's name, which has none in it: what was told in its name beside what is used
 
 
@@ -131,7 +133,7 @@ class Inbox:
     def __init__(self, store: Store, expected: Sequence[str] | None = None) -> None:
         self.ledgers: dict[str, Ledger] = {}
         self.refused: Counter[str] = Counter()
-        self._turned_away: dict[str, str] = {}
+        self._turned_away: dict[str, RefusedError] = {}
         self._there: set[str] = set()
         self.news: deque[str] = deque(maxlen=100)
         self._expected = None if expected is None else set(expected)
@@ -174,8 +176,8 @@ class Inbox:
     def _count(self, speaker: str, refused: RefusedError) -> None:
         known = self.ledgers.get(speaker)
         counts = self.refused if known is None else known.refused
-        if refused.reason in TURNED_AWAY and len(self._turned_away) < STATED:
-            self._turned_away[speaker] = str(refused)
+        if refused.reason in TURNED_AWAY and len(self._turned_away) < STATED and is_name(speaker):
+            self._turned_away[speaker] = refused
         if len(counts) > MOST_REASONS and refused.reason not in counts:
             return
         counts[refused.reason] += 1
@@ -346,16 +348,20 @@ class Inbox:
                 self._advance(ledger)
 
     def unused(self) -> dict[str, str]:
-        """Robots of whom nothing, or nothing more, is used, and why."""
-        faults = {name: x.fault for name, x in self.ledgers.items() if x.fault and not x.doubted}
-        away = {name: why for name, why in self._turned_away.items() if name not in self.ledgers}
-        return away | faults
+        """Robots of whom nothing, or nothing more, is used, and why: names and words that pass every door."""
+        return {name: str(refused)[:MOST_WHY] for name, refused in self._away()} | self._faults()
 
     def not_used(self) -> list[str]:
         """A line for each history of which nothing, or nothing more, is used, but of who is not `expected`."""
-        others = [f"{name}: {': '.join(OTHER)}" for name, x in self.ledgers.items() if x.refused[OTHER[0]]]
-        unused = [f"{name}: {why}" for name, why in self.unused().items() if not why.startswith(NOT_EXPECTED)]
-        return [f"{line}: not used" for line in others + unused]
+        others = [(name, ": ".join(OTHER)) for name, x in self.ledgers.items() if x.refused[OTHER[0]]]
+        away = [(name, str(refused)) for name, refused in self._away() if refused.reason != NOT_EXPECTED]
+        return [f"{name}: {why}: not used" for name, why in [*others, *away, *self._faults().items()]]
+
+    def _away(self) -> list[tuple[str, RefusedError]]:
+        return [(name, refused) for name, refused in self._turned_away.items() if name not in self.ledgers]
+
+    def _faults(self) -> dict[str, str]:
+        return {name: x.fault[:MOST_WHY] for name, x in self.ledgers.items() if x.fault and not x.doubted}
 
     def presence(self, robot: str, *, there: bool) -> None:
         """Whether the robot is there now, known of it or not."""

@@ -255,9 +255,14 @@ def encode(message: Message) -> bytes:
     return _encoder.encode(message)
 
 
+def is_name(name: str) -> bool:
+    """Whether it may be part of a key."""
+    return len(name) <= LONGEST_NAME and NAME.fullmatch(name) is not None
+
+
 def check_name(name: str, what: str = "--name", wrong: type[MapweaveError] = UsageError) -> str:
     """`name`, when it may be part of a key; raises `wrong`: another error than UsageError where it is no option."""
-    if len(name) > LONGEST_NAME or not NAME.fullmatch(name):
+    if not is_name(name):
         raise wrong(f"{what}: expected letters, digits, '_', '-' or '.' (at most {LONGEST_NAME}), found {name!r}")
     return name
 

@@ -264,7 +264,11 @@ def _weighed(pair: Pair, ways: Sequence[Candidate], matches: Sequence[Hypothesis
         best = candidate(a, b, held)._replace(votes=best.votes)
     pair = pair.levelled(best)
     others = [c for c in ways if not same_place(b, c.transform, best.transform)]
-    rival = max(others, key=lambda c: (doubtful(pair, best, c), pair.against(c, best)), default=None)
+    rival = max(
+        others,
+        key=lambda c: (allowed(pair, c, best), doubtful(pair, best, c), pair.against(c, best)),
+        default=None,
+    )
     hold = grip(pair, best) if best.seen.alike else None
     grounds = _grounds(pair, best, others, rival, hold)
     if start is None and not held and grounds.probability() >= pair.sure:
