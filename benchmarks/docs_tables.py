@@ -134,6 +134,7 @@ TABLES = (
     Table("simulated ring", LASER, bench("corridor"), "stdout"),
     *paper("hara", LASER, (), ("methods", "gate", "starts", "bounds", "alpha", "walls")),
     Table("harder missions", EXPLORE, bench("exploration_laser", "--hard"), "stdout"),
+    Table("unknown starts", EXPLORE, bench("exploration_laser", "--unknown-starts"), "stdout"),
     Table("wheels", "", bench("wheels"), "stdout"),
     Table("laser exploration", EXPLORE, bench("exploration_laser", "--tables", "{out}"), "exploration.md"),
     Table("laser missions", EXPLORE, bench("exploration_laser", "--tables", "{out}"), "missions.md"),

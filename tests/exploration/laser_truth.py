@@ -73,6 +73,7 @@ class Team:
             memory=self.memory,
             grid=self.grid(),
             scans=scans,
+            moving=(np.zeros((0, 2)),) * len(scans),
         )
 
     def play(self, planner, most: int) -> bool:

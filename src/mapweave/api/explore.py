@@ -77,6 +77,7 @@ class ExploreOptions:
     until: str | int
     kill: Mapping[str, int] | None
     drop: float
+    unknown_starts: bool
     config: AnyConfig | None
     jobs: int
     executor: Executor | None
@@ -238,7 +239,16 @@ def explore_laser(name: str, scenario: LaserScenarioConfig, options: ExploreOpti
     for key, cell in (("plan.resolution", cfg.plan.resolution), ("map_resolution", cfg.map_resolution)):
         check_cells(key, place.lower, place.upper, cell)
     kills = kills_of(options.kill or {}, len(place.starts))
-    mission = LaserMission(scenario, options.robots, planner, _end(options.until), kills, options.drop, cfg)
+    mission = LaserMission(
+        scenario,
+        options.robots,
+        planner,
+        _end(options.until),
+        kills,
+        options.drop,
+        cfg,
+        apart=options.unknown_starts,
+    )
     find_planner(planner, "laser")
 
     def mapped_so_far(step: int, explored: float) -> None:
@@ -334,6 +344,7 @@ def explore(
     until: str | int = "field",
     kill: Mapping[str, int] | None = None,
     drop: float = 0.0,
+    unknown_starts: bool = False,
     config: AnyConfig | None = None,
     jobs: int = 1,
     force: bool = False,
@@ -370,6 +381,9 @@ def explore(
         Robot name -> step at whose start it dies (none).
     drop
         The share of messages between robots that is lost, from 0 to below 1 (0).
+    unknown_starts
+        No robot knows where the others start: each drives for itself until its map is found to be of the same place as
+        another's, with lasers (False).
     config
         Settings as `configuration("explore")` prints them: a TOML file, its tables as mappings, or an object of
         a configuration class; options here win.
@@ -410,6 +424,7 @@ def explore(
         until=until,
         kill=kill,
         drop=drop,
+        unknown_starts=unknown_starts,
         config=config,
         jobs=jobs,
         executor=executor,
@@ -425,6 +440,8 @@ def explore(
 
 
 def _among_landmarks(scenario: str, options: ExploreOptions) -> LandmarkExploration:
+    if options.unknown_starts:
+        raise UsageError("--unknown-starts: robots among landmarks are told where all start; lasers find each other")
     planner = "paper" if options.planner is None else options.planner
     cfg = load(ExploreConfig, options.config)
     expect_positive(cfg, str(options.config), *POSITIVE)

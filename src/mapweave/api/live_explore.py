@@ -45,6 +45,7 @@ class PartPlanner:
             memory=self.memory,
             grid=grid.planned_on(WALL),
             scans=(NO_POINTS,) * len(robots),
+            moving=(NO_POINTS,) * len(robots),
         )
         if not belief.alive.any():
             return {}

@@ -106,7 +106,8 @@ def write_laser_runs(folder: Path, runs: tuple[Any, ...], metrics: Mapping[str, 
     write_g2o(folder / "pose_graph.g2o", first.graph)
     write_closures(folder / "closures.csv", first)
     for name, track, log, truth in zip(first.robots, first.tracks, first.logs, first.truths, strict=True):
-        write_tum(folder / "trajectories" / f"{name}.tum", track)
+        if len(track.t):  # none of a robot that was not found in the map
+            write_tum(folder / "trajectories" / f"{name}.tum", track)
         (folder / "log").mkdir(exist_ok=True)
         write_mcap(folder / "log" / f"{name}.mcap", log, truth)
         write_tum(folder / "log" / f"{name}.truth.tum", truth)

@@ -65,6 +65,14 @@ class PoseGraph:
         names = ("first", "second", "measured", "information")
         return PoseGraph(self.pose, *(np.concatenate([getattr(self, name), getattr(other, name)]) for name in names))
 
+    def among(self, keep: Int[np.ndarray, " k"]) -> "PoseGraph":
+        """These poses alone, ascending, numbered anew, and the edges between them."""
+        number = np.full(len(self), -1)
+        number[keep] = np.arange(len(keep))
+        first, second = number[self.first], number[self.second]
+        own = (first >= 0) & (second >= 0)
+        return PoseGraph(self.pose[keep], first[own], second[own], self.measured[own], self.information[own])
+
 
 def edge_factor(graph: PoseGraph, name: str, kernel: Kernel | None = None) -> Factor:
     """The edges of `graph` as one factor over x = [x0 y0 theta0 x1 ...]; its poses are not read."""

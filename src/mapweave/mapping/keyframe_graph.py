@@ -32,6 +32,7 @@ UNDECIDED = "found, and not decided on yet"
 CARRIED = 16.0  # squared sd by which the places that hold contradict a step over a border that tells nothing, and
 LOOSE = np.diag([1e4, 1e4, 10.0])  # [m^2, rad^2] covariance that such a step has: the robot was carried
 EXACT = 1e-4  # [m, rad] sd of the start that `map` hangs on
+UNTOLD = 1e3  # [m, rad] sd of a start that nobody told: places alone hold its robot
 
 
 @config
@@ -48,11 +49,16 @@ class KeyframeGraphConfig:
 class KeyframeGraph:
     """nodes: the keyframes in the order they came; pose: (n, 3) of each in `map`; of: each robot's, by number;
     contradicted: the keyframes whose step places contradict, which is not believed then; loose: those after a border
-    whose step tells nothing, the robot having been carried; unclear: those after one that fit elsewhere about as well.
+    whose step tells nothing, the robot having been carried; unclear: those after one that fit elsewhere about as well;
+    crew: (M,) of each robot the first of those that share its frame; `apart`: each has one of its own until it `meet`s.
     """
 
-    def __init__(self, cfg: KeyframeGraphConfig, starts: Float[np.ndarray, "M 3"]) -> None:
+    def __init__(self, cfg: KeyframeGraphConfig, starts: Float[np.ndarray, "M 3"], *, apart: bool = False) -> None:
         self.cfg, self.starts = cfg, starts
+        self.crew = np.arange(len(starts)) if apart else np.zeros(len(starts), dtype=np.int64)
+        self.start_sd = np.full((len(starts), 3), EXACT)
+        if not apart:
+            self.start_sd[1:] = (cfg.start_xy, cfg.start_xy, cfg.start_turn)
         self.contradicted: frozenset[int] = frozenset()
         self.loose: frozenset[int] = frozenset()
         self.unclear: tuple[int, ...] = ()
@@ -92,7 +98,8 @@ class KeyframeGraph:
 
     def copy(self) -> "KeyframeGraph":
         """The same graph, which may grow and be solved without this one's knowing."""
-        other = KeyframeGraph(self.cfg, self.starts)
+        other = KeyframeGraph(self.cfg, np.array(self.starts))
+        other.crew, other.start_sd = np.array(self.crew), np.array(self.start_sd)
         other.contradicted, other.loose = self.contradicted, self.loose
         other.nodes, other.closures, other._since = list(self.nodes), list(self.closures), list(self._since)
         other.of = [list(of) for of in self.of]
@@ -201,6 +208,19 @@ class KeyframeGraph:
         found = Matched(False, UNDECIDED, z, information, innovation, match.share, None, match.score, second_score)
         self.closures.append(Closure(robots, first, second, *found))
 
+    def meet(self, into: int, crew: int, T: Float[np.ndarray, "3"]) -> None:
+        """The robots of `crew`, whose frame lies at T in that of the crew `into`, are in that from now on.
+
+        Nothing holds them there until a closure does.
+        """
+        mine = np.flatnonzero(self.crew == crew)
+        nodes = np.isin(self.robot, mine)
+        self.pose[nodes] = se2.compose(T, self.pose[nodes])
+        self.starts[mine] = se2.compose(T, self.starts[mine])
+        self.start_sd[mine] = UNTOLD
+        self.crew[mine] = into
+        self.due = True
+
     def edges(self, *, tried: bool = False) -> tuple[PoseGraph, PoseGraph]:
         """Steps and accepted closures, or all that were `tried`, over the same poses."""
         steps = [(of[n - 1], of[n]) for of in self.of for n in range(1, len(of))]
@@ -225,13 +245,11 @@ class KeyframeGraph:
 
     def solve(self) -> None:
         """All poses at the optimum; closures that contradict the rest there are dropped, one after the other."""
-        c = self.cfg
         while True:
             steps, closed = self.edges()
             first = [of[0] for of in self.of if of]
             robots = [self.nodes[i].robot for i in first]
-            sd = np.array([[c.start_xy, c.start_xy, c.start_turn] if j else [EXACT] * 3 for j in robots])
-            starts = (np.array(first), self.starts[robots], sd)
+            starts = (np.array(first), self.starts[robots], self.start_sd[robots])
             self.solved = Solved.of(problem(steps, closed, starts, CLOSURE_KERNEL))
             self.pose = np.array(self.solved.pose)
             if not self._drop_worst(closed):

@@ -142,7 +142,7 @@ def merge_maps(a: KeyframeMap, b: KeyframeMap, cfg: MergeConfig | None = None, s
     the scans alone decide.
     """
     if len(b.pose) > len(a.pose) and start is None:  # a start tells where b began: seen from b it would be vague
-        return _swapped(merge_maps(b, a, cfg))
+        return swapped(merge_maps(b, a, cfg))
     pair = Pair(a, b, whole_place(a, featured=b.q is not None), (cfg or MergeConfig()).sure)
     if start is None:
         return _decided(pair)
@@ -437,7 +437,7 @@ def _spread(held: Sequence[Hypothesis], b: KeyframeMap, T: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(e[:, :2]).sum(axis=1))))
 
 
-def _swapped(m: Merge) -> Merge:
+def swapped(m: Merge) -> Merge:
     """The same decision with a and b exchanged."""
     T = P = None
     if m.transform is not None and m.covariance is not None:

@@ -120,7 +120,8 @@ def laser_exploration_scene(run: LaserRunRecord) -> Scene:
     for true in run.truths:
         scene.path("truth", true.pose[:, :2], TRUTH)
     for j, name in enumerate(run.robots):
-        scene.track(name, name, run.tracks[j], colour(j))
+        if len(run.tracks[j].t):
+            scene.track(name, name, run.tracks[j], colour(j))
     return scene
 
 

@@ -1,5 +1,6 @@
 """An exploration with lasers as a page: the map against the walls, how it came about, why loops were closed or not."""
 
+from itertools import pairwise
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -94,11 +95,14 @@ def draw_walls(path: Path, run: LaserRunRecord, tolerance: float) -> None:
 
 
 def draw_progress(path: Path, run: LaserRunRecord) -> None:
-    """Against steps: share mapped, loops closed, how far the robots were from where they thought."""
+    """Against steps: share mapped (dotted: robots found each other), loops closed, how far the robots were off."""
     steps = np.array([m.step for m in run.moments])
     off = np.array([np.hypot(*(m.poses[:, :2] - m.true_poses[:, :2]).T) for m in run.moments])
     with figure(path, 10.0, 3.2, ncols=3) as (fig, (share, loops, error)):
         share.plot(steps, [100 * m.explored for m in run.moments], color=colour(0))
+        for before, after in pairwise(run.moments):
+            if after.maps < before.maps:
+                share.axvline(after.step, color=TRUTH, lw=0.6, ls=":")
         share.set(xlabel="step", ylabel="reachable area mapped [%]", ylim=(0, 102))
         loops.plot(steps, [m.closures for m in run.moments], color=colour(5))
         loops.set(xlabel="step", ylabel="loops closed")
@@ -229,7 +233,8 @@ def write_laser_exploration(folder: Path, result: LaserExploreResult) -> None:
     draw_animation(figures / "first_run.gif", first)
     page.figure(
         figures / "progress.png",
-        "Share of the reachable area mapped; errors of the robots' places as they drove",
+        "Share of the reachable area mapped; errors of the robots' places as they drove"
+        + (" (dotted: robots found each other)" if m.apart else ""),
         draw_progress,
         first,
     )
@@ -253,6 +258,8 @@ def write_laser_exploration(folder: Path, result: LaserExploreResult) -> None:
         _robots(result),
     )
     _left_out(page, result)
+    if m.apart:
+        _meetings(page, first)
     page.section("Every run")
     page.table(*_runs(result))
     page.section("How to read it")
@@ -276,6 +283,19 @@ def _robots(result: LaserExploreResult) -> list[list[object]]:
             [name, sum(status.values()), *counts, int((first.owner == j).sum()), round(length, 1), first.collisions[j]]
         )
     return rows
+
+
+def _meetings(page: Page, first: LaserRunRecord) -> None:
+    page.section("How the robots found each other")
+    for robots in first.maps[1:]:
+        page.text(f"{', '.join(robots)}: not found in the map of {first.robots[0]}, nor is what they mapped", warn=True)
+    page.table(
+        ["step", "robots", "decision", "saw each other", "saw nobody there", "reason"],
+        [
+            [m.step, " and ".join(m.robots), "one map" if m.joined else "refused", m.seen, m.through, m.reason]
+            for m in first.meetings
+        ],
+    )
 
 
 def _left_out(page: Page, result: LaserExploreResult) -> None:

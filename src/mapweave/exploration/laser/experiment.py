@@ -7,7 +7,7 @@ from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from time import perf_counter
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -25,7 +25,7 @@ from ..mission import ExplorationResult, Mission, RunScore, run_seeds
 from ..planner_interface import find_planner, is_built_in
 from .config import OCCUPIED_SHARE, WALL_TOLERANCE, LaserMissionConfig, LaserPlace, LaserScenarioConfig, make_place
 from .frontiers import mapped_ground, pockets
-from .mission import LaserRun, LaserStepRecord
+from .mission import LaserRun, LaserStepRecord, Meeting
 
 FALSE_DISTANCE = 0.5  # [m] off the truth beyond which a closure counts as joining places that are two
 FALSE_TURN = float(np.radians(8.0))  # [rad] off the truth, the same
@@ -52,6 +52,7 @@ class LaserScore(RunScore):
     refused: int
     driven: float
     left_out: int
+    maps: int
     seconds: float
 
 
@@ -59,16 +60,16 @@ def score(
     mission_run: LaserRun, moments: list[LaserStepRecord], merged: Occupancy, run: int, seconds: float
 ) -> LaserScore:
     """A finished run against the truth. merged: the map at the resolution that is scored."""
-    team, world = mission_run.team, mission_run.place.world
+    world = mission_run.place.world
     cells = merged.centres(np.argwhere(merged.occupied))
     error, precision, recall = wall_scores(cells, world, mission_run.building, WALL_TOLERANCE)
-    true = true_keyframes(mission_run, moments)
-    pose, P = team.graph().pose, team.covariances()
+    graph, _, P, closures = _mapped(mission_run)
+    true, pose = true_keyframes(mission_run, moments), graph.pose
     e = np.column_stack([pose[:, :2] - true[:, :2], se2.wrap_angle(pose[:, 2] - true[:, 2])])
     tied = np.flatnonzero(np.linalg.eigvalsh(P)[:, 0] > 1e-7) if len(P) else np.zeros(0, int)  # `map` hangs on one
     nees = [float(e[k] @ np.linalg.solve(P[k], e[k])) / 3.0 for k in tied]
     ellipse = [np.pi * np.sqrt(max(float(np.linalg.det(P[k, :2, :2])), 0.0)) for k in range(len(P))]
-    believed = [c for c in team.closures if c.accepted]
+    believed = [c for c in closures if c.accepted]
     return LaserScore(
         run=run,
         seed=mission_run.seed,
@@ -89,19 +90,47 @@ def score(
         wall_precision=precision,
         wall_recall=recall,
         closures=len(believed),
-        refused=len(team.closures) - len(believed),
+        refused=len(closures) - len(believed),
         driven=driven(moments),
         left_out=len(mission_run.memory.get("given_up", ())),
+        maps=len(mission_run.crews),
         seconds=seconds,
     )
 
 
+class _Mapped(NamedTuple):
+    """What the first robot's crew came to: keyframes, whose each is, their covariances, and closures between them."""
+
+    graph: PoseGraph
+    owner: np.ndarray
+    covariances: np.ndarray
+    closures: tuple[Closure, ...]
+
+
+def _first_crew(mission_run: LaserRun) -> np.ndarray:
+    """The keyframes of the first robot's crew, ascending."""
+    return np.flatnonzero(np.isin(mission_run.team.owner, mission_run.crews[0].robots))
+
+
+def _mapped(mission_run: LaserRun) -> _Mapped:
+    team, keep = mission_run.team, _first_crew(mission_run)
+    number = np.full(len(team.owner), -1)
+    number[keep] = np.arange(len(keep))
+    closures = tuple(
+        replace(c, first=int(number[c.first]), second=int(number[c.second]))
+        for c in team.closures
+        if number[c.first] >= 0 and number[c.second] >= 0
+    )
+    return _Mapped(team.graph().among(keep), team.owner[keep], team.covariances()[keep], closures)
+
+
 def true_keyframes(mission_run: LaserRun, moments: list[LaserStepRecord]) -> Float[np.ndarray, "n 3"]:
-    """Where the robots really were at the keyframes of the team's graph."""
+    """Where the robots really were at the keyframes of the first crew's graph."""
     at = {m.t: k for k, m in enumerate(moments)}
-    rows = [at[t] for t in mission_run.team.stamp.tolist()]
+    keep = _first_crew(mission_run)
+    rows = [at[t] for t in mission_run.team.stamp[keep].tolist()]
     poses = np.array([m.true_poses for m in moments])
-    return np.asarray(poses[rows, mission_run.team.owner]).reshape(-1, 3)
+    return np.asarray(poses[rows, mission_run.team.owner[keep]]).reshape(-1, 3)
 
 
 def is_false(closure: Closure, true: Float[np.ndarray, "n 3"]) -> bool:
@@ -114,7 +143,7 @@ def trajectory_rmse(mission_run: LaserRun, moments: list[LaserStepRecord]) -> fl
     """Root mean square position error [m] over all robots' trajectories, without alignment."""
     squares: list[np.ndarray] = []
     at = {m.t: k for k, m in enumerate(moments)}
-    for j in range(len(mission_run.robots)):
+    for j in mission_run.crews[0].robots.tolist():
         track = mission_run.team.trajectory(j)
         rows = [at[t] for t in track.t.tolist()]
         true = np.array([moments[k].true_poses[j] for k in rows]).reshape(-1, 3)
@@ -129,13 +158,14 @@ def driven(moments: list[LaserStepRecord]) -> float:
     return float(np.hypot(steps[..., 0], steps[..., 1]).sum())
 
 
+UNMAPPED = Track(np.zeros(0), np.zeros((0, 3)), frame="map")
 SNAPSHOTS = 48  # moments kept as pictures, about
 SEEN_EVERY = 5  # steps between looks at what is known
 
 
 @dataclass(frozen=True, slots=True)
 class LaserMission(Mission[LaserScenarioConfig, LaserMissionConfig]):
-    """One experiment's settings in a laser world."""
+    """One experiment's settings in a laser world. apart: no robot knows where the others start."""
 
     robots: int | None = None
     planner: str = "coverage"
@@ -143,6 +173,7 @@ class LaserMission(Mission[LaserScenarioConfig, LaserMissionConfig]):
     kills: Mapping[int, int] | None = None
     drop: float = 0.0
     cfg: LaserMissionConfig = field(default_factory=LaserMissionConfig)
+    apart: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,8 +192,10 @@ class LaserRunRecord:
 
     map: `grid` as free, occupied and unknown cells, the one that is written and scored; seen_at: for each reached cell
     of `building`, the step at which the map first knew it (NaN: never); tracks, truths: a robot each, in the map's
-    frame; pockets: (p, 2) ground the map shows and no robot gets to; given_up: (g, 2) places that were not reached
-    though they should be; status: per robot, what the front end made of its scans.
+    frame, tracks without poses of robots that were not found in it; pockets: (p, 2) ground the map shows and no robot
+    gets to; given_up: (g, 2) places that were not reached though they should be; status: per robot, what the front end
+    made of its scans; maps: the robots of each map there was in the end, the map's own first; meetings: the latest
+    decision on each two robots whose starts nobody knew.
     """
 
     place: LaserPlace
@@ -185,6 +218,8 @@ class LaserRunRecord:
     status: tuple[dict[str, int], ...]
     collisions: tuple[int, ...]
     timing: dict[str, float]
+    maps: tuple[tuple[str, ...], ...]
+    meetings: tuple[Meeting, ...]
 
 
 def explore_laser_once(
@@ -214,7 +249,8 @@ def explore_laser_once(
     grid = mission_run.team.grid(mission.cfg.map_resolution)
     merged = without_gaps(of_grid(grid, OCCUPIED_SHARE))
     run_score = score(mission_run, moments, merged, run, perf_counter() - began)
-    M = len(mission_run.robots)
+    M, first = len(mission_run.robots), mission_run.crews[0].robots
+    mapped = _mapped(mission_run)
     record = LaserRunRecord(
         place=mission_run.place,
         building=building,
@@ -224,18 +260,20 @@ def explore_laser_once(
         seen_at=seen_at,
         grid=grid,
         map=merged,
-        tracks=tuple(mission_run.team.trajectory(j) for j in range(M)),
+        tracks=tuple(mission_run.team.trajectory(j) if j in first else UNMAPPED for j in range(M)),
         truths=tuple(_truth(moments, j) for j in range(M)),
         logs=tuple(_log(moments, j, f"explored {mission_run.place.world.name}, seed {seed}") for j in range(M)),
-        graph=mission_run.team.graph(),
-        owner=mission_run.team.owner,
-        covariances=mission_run.team.covariances(),
-        closures=mission_run.team.closures,
+        graph=mapped.graph,
+        owner=mapped.owner,
+        covariances=mapped.covariances,
+        closures=mapped.closures,
         pockets=_pockets(mission_run),
         given_up=np.array(mission_run.memory.get("given_up", ()), dtype=float).reshape(-1, 2),
         status=tuple(mission_run.status),
         collisions=tuple(mission_run.sim.collisions.tolist()),
         timing=dict(mission_run.timing),
+        maps=tuple(tuple(mission_run.robots[j] for j in crew.robots.tolist()) for crew in mission_run.crews),
+        meetings=tuple(sorted(mission_run.meetings.values())),
     )
     return run_score, record
 
@@ -249,7 +287,15 @@ def start(mission: LaserMission, seed: int) -> tuple[LaserRun, Building]:
     _compile(mission.planner)
     kills = dict(mission.kills or {})
     mission_run = LaserRun(
-        place, building, mission.cfg, planner, seed, kills=kills, drop=mission.drop, until=mission.until
+        place,
+        building,
+        mission.cfg,
+        planner,
+        seed,
+        kills=kills,
+        drop=mission.drop,
+        until=mission.until,
+        apart=mission.apart,
     )
     return mission_run, building
 
@@ -303,9 +349,9 @@ def _log(moments: list[LaserStepRecord], j: int, source: str) -> LaserLog:
 
 def _pockets(mission_run: LaserRun) -> np.ndarray:
     """MappedGround the final map shows and no robot gets to."""
-    alive = np.flatnonzero(mission_run.alive)
-    poses = mission_run.team.poses()[:, :2]
-    ground = mapped_ground(mission_run.grid, poses[alive], np.delete(poses, alive, axis=0), mission_run.plan)
+    first, poses = mission_run.crews[0].robots, mission_run.team.poses()[:, :2]
+    alive = mission_run.alive[first]
+    ground = mapped_ground(mission_run.grid, poses[first[alive]], poses[first[~alive]], mission_run.plan)
     return pockets(ground)
 
 
@@ -322,6 +368,7 @@ class LaserExploreResult(ExplorationResult[LaserMission, LaserScore, LaserRunRec
         "closures": "closures",
         "refused": "refused",
         "driven_m": "driven",
+        "maps": "maps",
     }
 
     def averages(self) -> dict[str, Any]:
@@ -337,7 +384,8 @@ class LaserExploreResult(ExplorationResult[LaserMission, LaserScore, LaserRunRec
         first = self.first
         runs = [asdict(r) for r in self.runs]
         seconds = [r.pop("seconds") for r in runs]
-        return self._settings(first.robots, {"sensor": "laser"}, {}) | {
+        world = {"sensor": "laser", "unknown_starts": self.mission.apart}
+        return self._settings(first.robots, world, {}) | {
             "runs": runs,
             "first_run": {
                 "front_end": {
@@ -354,13 +402,15 @@ class LaserExploreResult(ExplorationResult[LaserMission, LaserScore, LaserRunRec
                 "unreachable": [dict(zip(("x", "y", "m2"), row, strict=True)) for row in first.building.shut.tolist()],
                 "pockets": first.pockets.tolist(),
                 "given_up": first.given_up.tolist(),
+                "maps": [list(robots) for robots in first.maps],
+                "meetings": [m._asdict() | {"robots": list(m.robots)} for m in first.meetings],
             },
             "timing": {"runs_s": seconds, "first_run_s": dict(first.timing)},
         }
 
     def lines(self) -> list[str]:
         """The outcome in a few lines for people."""
-        s = self.averages()
+        s, first = self.averages(), self.first
         mapped = f"{100 * s['area_mapped']:.2f} % (least {100 * s['area_mapped_min']:.2f} %)"
         lines = [
             self._line_of_steps(),
@@ -376,6 +426,13 @@ class LaserExploreResult(ExplorationResult[LaserMission, LaserScore, LaserRunRec
             f"a run: {s['closures']:.1f} loops closed, {s['refused']:.1f} refused, {s['misassociations']:.2f} false; "
             f"{s['driven_m']:.0f} m driven; {s['ms_per_decision']:.2f} ms a decision"
         )
+        if self.mission.apart:
+            one = sum(r.maps == 1 for r in self.runs)
+            lines.append(f"all robots found each other in {one} of {len(self.runs)} runs")
+            lines += [
+                f"{', '.join(robots)}: not found in the map of {first.robots[0]}, nor is what they mapped"
+                for robots in first.maps[1:]
+            ]
         lines += [
             f"left out: {area:.1f} m² around ({x:.1f}, {y:.1f}) m, where no robot gets to"
             for x, y, area in self.first.building.shut.tolist()

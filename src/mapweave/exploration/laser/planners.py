@@ -32,6 +32,7 @@ from .mission import (
 REVERSE_SPEED = 1 / 3  # share of the top speed, backwards, to leave a tight spot
 FOLLOWER_HEADING_COST = 0.8  # [m/rad] that a wrong heading counts as
 REVERSE_COST = 0.25  # [m] that driving backwards counts as: turning round is better where there is room
+SHELL = 0.1  # [m] of their distance by which points of unknown robots are taken together
 ARC_SAMPLE = 0.02  # [m] between the samples of an arc: half of `GUARD`
 GUARD = 0.04  # [m] beyond the radius that a driven arc keeps from every point of the present scan
 
@@ -101,11 +102,13 @@ def steer(
     scan: Float[np.ndarray, "k 2"],
     others: Float[np.ndarray, "n 2"],
     cfg: LaserPlan,
+    moving: Float[np.ndarray, "m 2"] | None = None,
 ) -> Float[np.ndarray, "2"]:
     """The allowed command that heads for `target` soonest; stands still without one.
 
     scan: points in the robot's frame, which no arc comes nearer than radius + guard; others: places in the map where
-    other robots are or will be during this step, which the robot's middle comes no nearer than 2 radii + apart.
+    other robots are or will be during this step, which the robot's middle comes no nearer than 2 radii + apart; moving:
+    points of robots that are not known, to which no arc leads more than half the way: so may they.
     """
     if target is None:
         return np.zeros(2)
@@ -113,6 +116,11 @@ def steer(
     free, clearance = collision_free(commands, scan, cfg.radius + GUARD, cfg)
     if len(others):
         free &= collision_free(commands, se2.act(se2.inverse(pose), others), 2 * cfg.radius + ARCS_APART, cfg)[0]
+    if moving is not None and len(moving):
+        shell = np.ceil((np.hypot(*moving.T) - cfg.radius) / SHELL).astype(np.int64)
+        for k in np.unique(shell[shell <= np.ceil(2.0 * cfg.speed * cfg.period / SHELL)]).tolist():
+            least = cfg.radius + max(GUARD, 0.5 * k * SHELL)
+            free &= collision_free(commands, moving[shell == k], least, cfg)[0]
     goal = se2.act(se2.inverse(pose), target)
     d = goal - ends[:, :2]
     distance = np.hypot(d[:, 0], d[:, 1])
@@ -460,7 +468,7 @@ def drive(
         if target is not None and np.hypot(*(target - poses[j, :2])) < 0.5 * cfg.resolution:
             target = None
         others = np.concatenate([np.zeros((0, 2)), *(p for k, p in will_be.items() if k != j)])
-        out[j] = steer(poses[j], target, belief.scans[j], others, cfg)
+        out[j] = steer(poses[j], target, belief.scans[j], others, cfg, belief.moving[j])
         will_be[j] = predicted_path(poses[j], out[j], cfg)
     return out
 

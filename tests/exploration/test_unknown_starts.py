@@ -1,0 +1,154 @@
+"""Robots with lasers that do not know where the others start: each for itself, until two maps are of one place."""
+
+import json
+
+import numpy as np
+import pytest
+
+from mapweave.api.explore import explore
+from mapweave.core import se2
+from mapweave.core.errors import UsageError
+from mapweave.core.walls import Walls
+from mapweave.exploration.laser.config import LaserPlan, find_laser_scenario
+from mapweave.exploration.laser.experiment import LaserMission, explore_laser_once
+from mapweave.exploration.laser.planners import candidate_commands, steer
+from mapweave.kernels.exploration.arcs import arc_clearance
+from mapweave.mapping.laser_team import LaserTeam
+from mapweave.mapping.merge import merge_maps
+from mapweave.sim.laser import LaserWorld
+from mapweave.sim.laser_team import LaserTeamSim
+
+from .fresh import workers
+
+APART = """
+sensor = "laser"
+walls = [
+  [0, 0, 6, 0], [6, 0, 6, 5], [6, 5, 0, 5], [0, 5, 0, 0], [2, 5, 2, 4],
+  [10, 0, 17, 0], [17, 0, 17, 4], [17, 4, 10, 4], [10, 4, 10, 0], [13, 0, 13, 1.5],
+]
+starts = [[1.5, 2.5, 0.0], [11.5, 2.0, 0.0]]
+"""
+HALL = Walls(
+    np.array(
+        [[0, 0, 9, 0], [9, 0, 9, 6], [9, 6, 0, 6], [0, 6, 0, 0], [4, 6, 4, 4.5], [6, 0, 6, 1.5], [0, 2, 1, 2]], float
+    ),
+    np.full(7, 0.5),
+)
+
+
+def in_a_fresh_process(function, *arguments):
+    """Where the tests' shape checks are off."""
+    return workers().submit(function, *arguments).result()
+
+
+def met(area, robots, seed):
+    told, record = explore_laser_once(LaserMission(find_laser_scenario(f"office-{area}"), robots, apart=True), seed)
+    return told, record.maps, record.meetings
+
+
+@pytest.mark.slow
+def test_robots_that_know_no_starts_find_each_other_and_make_one_true_map():
+    """Office 24 has rooms that look alike: by their maps alone robots would be joined 13.5 m off."""
+    told, maps, meetings = in_a_fresh_process(met, 1000, 4, 24)
+    assert told.finished
+    assert maps == (("robot1", "robot2", "robot3", "robot4"),)
+    assert sum(m.joined for m in meetings) == 3
+    assert told.area_mapped >= 0.99
+    assert told.collisions == 0
+    assert told.misassociations == 0
+    assert told.trajectory_rmse <= 0.12
+    assert told.nees_per_dof < 1.5
+    alike = [m for m in meetings if not m.joined and m.through >= 50]
+    assert alike
+    assert all(m.wrong < 0.1 and m.seen <= 2 for m in alike)
+    assert "would have seen each other there" in alike[0].reason
+
+
+def test_robots_in_two_buildings_stay_apart_and_are_told_so(tmp_path):
+    path, out = tmp_path / "apart.toml", tmp_path / "out"
+    path.write_text(APART)
+    result = explore(path, out, unknown_starts=True)
+    (told,) = result.runs
+    assert not told.finished
+    assert told.maps == 2
+    assert "robot2: not found in the map of robot1, nor is what they mapped" in result.lines()
+    assert [p.name for p in (out / "trajectories").iterdir()] == ["robot1.tum"]
+    assert (out / "log" / "robot2.mcap").exists()
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert metrics["unknown_starts"] is True
+    assert metrics["first_run"]["maps"] == [["robot1"], ["robot2"]]
+    (tried,) = metrics["first_run"]["meetings"]
+    assert not tried["joined"]
+    assert "too little overlap" in tried["reason"]
+    assert "not found in the map of robot1" in (out / "report.html").read_text()
+
+
+def test_robots_among_landmarks_have_to_be_told_where_all_start():
+    with pytest.raises(UsageError, match="--unknown-starts"):
+        explore("yuan", unknown_starts=True, until=1)
+
+
+def two_in_a_hall():
+    """A team that has met nobody, after both robots drove a while; and its true poses at the start."""
+    starts = np.array([[2.0, 1.0, 0.3], [7.0, 4.0, 2.0]])
+    sim = LaserTeamSim(LaserWorld(HALL.segments, HALL.reflectance), starts, seed=3)
+    team = LaserTeam(None, np.zeros((2, 3)), apart=True)
+    for k in range(40):
+        for j in range(2):
+            team.add_scan(j, sim.t, sim.scan(j))
+            team.deliver(j)
+        team.optimise()
+        sim.step(np.array([[0.3, 0.25 if k < 20 else -0.2], [0.3, 0.2]]))
+    return team, starts
+
+
+def test_who_is_in_view_is_seen_where_the_maps_truly_lie_and_not_elsewhere():
+    team, starts = two_in_a_hall()
+    true = se2.between(starts[0], starts[1])
+    seen, through = team.in_view(0, 1, true)
+    assert seen > 20
+    assert through == 0
+    back = team.in_view(1, 0, se2.inverse(true))
+    assert back == (seen, through)
+    mirrored = se2.between(starts[0], np.array([9.0 - starts[1, 0], 6.0 - starts[1, 1], starts[1, 2] + np.pi]))
+    seen, through = team.in_view(0, 1, mirrored)
+    assert through > 20
+    assert seen <= 0.1 * through
+
+
+def test_crews_that_met_share_a_map_that_is_right_and_says_how_well():
+    team, starts = two_in_a_hall()
+    merge = merge_maps(team.keyframe_map(1), team.keyframe_map(0))
+    assert merge.transform is not None
+    np.testing.assert_allclose(merge.transform, se2.between(starts[1], starts[0]), atol=0.1)
+    points = sum(len(scan.points) for scan in team.scans)
+    team.meet(1, 0, merge)
+    assert team.team.crew.tolist() == [0, 0]
+    assert sum(len(scan.points) for scan in team.scans) < points  # what they saw of each other is gone
+    ties = [c for c in team.closures if c.robots in {(0, 1), (1, 0)}]
+    assert sum(c.accepted for c in ties) >= 3
+    first = team.team.of[1][0]
+    error = se2.between(se2.between(starts[0], starts[1]), team.team.pose[first])
+    assert np.hypot(*error[:2]) < 0.06
+    P = team.covariances()[first]
+    e = team.team.pose[first] - se2.between(starts[0], starts[1])
+    e[2] = se2.wrap_angle(e[2])
+    assert e @ np.linalg.solve(P, e) < 16.0
+    assert P[0, 0] < 0.1**2
+
+
+def test_no_arc_leads_more_than_half_the_way_to_a_robot_that_nobody_knows():
+    cfg = LaserPlan()
+    ahead = np.array([[0.62, 0.0], [0.63, 0.05], [0.63, -0.05]])
+    pose, target, nobody = np.zeros(3), np.array([3.0, 0.0]), np.zeros((0, 2))
+    as_walls = steer(pose, target, ahead, nobody, cfg)
+    command = steer(pose, target, ahead, nobody, cfg, ahead)
+    commands, _ = candidate_commands(cfg)
+    assert (commands == command).all(axis=1).any()
+
+    def left(u):
+        return arc_clearance(u[None], cfg.period, ahead, 0.02)[0] - cfg.radius
+
+    gap = 0.62 - cfg.radius
+    assert left(command) >= 0.5 * gap - 1e-9
+    assert left(as_walls) < 0.5 * gap
