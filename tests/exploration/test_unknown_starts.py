@@ -80,6 +80,8 @@ def test_robots_in_two_buildings_stay_apart_and_are_told_so(tmp_path):
     (tried,) = metrics["first_run"]["meetings"]
     assert not tried["joined"]
     assert "too little overlap" in tried["reason"]
+    assert "robot2" in tried["reason"] or "submaps is found" in tried["reason"]
+    assert tried["robots"] == ["robot1", "robot2"]
     assert "not found in the map of robot1" in (out / "report.html").read_text()
 
 

@@ -234,7 +234,7 @@ class LaserTeam:
     def keyframe_map(self, j: int) -> KeyframeMap:
         """What robot j brings to a meeting, in its crew's map. The robot has delivered a keyframe."""
         of = self.team.of[j]
-        return KeyframeMap(str(j), self.team.pose[of], [self.team.nodes[i].beams.s for i in of])
+        return KeyframeMap(str(j + 1), self.team.pose[of], [self.team.nodes[i].beams.s for i in of])
 
     def in_view(self, a: int, b: int, transform: Float[np.ndarray, "3"]) -> tuple[int, int]:
         """How often a robot of the crews of a and b sees one of the other crew where `transform` has it, and how often
