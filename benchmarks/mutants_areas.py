@@ -585,8 +585,8 @@ ONCE_LET_PASS: tuple[Named, ...] = (
     ),
     Named(
         "mapping:LoopSearch",
-        "near = (d < c.reach) & ((robot != node.robot) | (graph.path[:n] < node.path - c.far))",
-        "near = d < c.reach",
+        "near &= (robot != node.robot) | (graph.path[:n] < node.path - c.far)",
+        "near &= robot == robot",
         CLOSURES,
     ),
 )

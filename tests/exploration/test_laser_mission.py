@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mapweave.api.explore import explore
+from mapweave.api.map import map as map_logs
 from mapweave.core.errors import ConfigError, DataError, EstimateError, ReaderError, UsageError
 from mapweave.exploration.laser.config import find_laser_scenario
 from mapweave.exploration.laser.experiment import LaserMission, explore_laser_once, start
@@ -107,6 +108,8 @@ def test_a_run_writes_its_scores_and_map_and_a_log_that_map_can_read(rooms, tmp_
     for name in ("map", "stages", "explored", "progress", "walls", "closures"):
         assert (out / "figures" / f"{name}.png").stat().st_size > 5000
     assert (out / "figures" / "first_run.gif").stat().st_size < 1_000_000
+    again = map_logs(out / "log", seed=1)
+    assert len(again.maps) == 2
     log = read_laser(out / "log" / "robot2.mcap")
     assert len(log.scans) == told.steps + 1
     first = result.first.logs[1]

@@ -6,7 +6,7 @@ import pytest
 from mapweave.core.errors import ReaderError
 from mapweave.io.bag import Bag, open_bag
 from mapweave.io.bag_robots import ODOMETRY, SCAN, bag_robots
-from mapweave.io.laser_logs import LaserSource, read_laser, robots_of
+from mapweave.io.laser_logs import LaserSource, read_laser, recordings_in, robots_of
 
 from .ros_logs import N, Recording, driving, wall
 
@@ -181,3 +181,26 @@ def test_messages_that_a_damaged_index_gives_unasked_are_not_taken_for_odometry(
     (robot,) = bag_robots(bag)
     assert robot.scans == ("/scan",)
     assert {topic for topic, _, _ in bag.messages({"/scan"})} == {"/scan"}
+
+
+def test_a_folder_of_recordings_is_a_robot_each_unless_they_are_parts_of_one(tmp_path):
+    def folder(name, *files):
+        path = tmp_path / name
+        path.mkdir()
+        for file in files:
+            (path / file).write_bytes(b"")
+        return path
+
+    team = folder("team", "robot10.mcap", "robot2.mcap", "robot2.truth.tum", "notes.txt")
+    assert recordings_in(team) == [team / "robot2.mcap", team / "robot10.mcap"]
+    numbered = folder("numbered", "robot_1.mcap", "robot_2.mcap")
+    assert recordings_in(numbered) == [numbered / "robot_1.mcap", numbered / "robot_2.mcap"]
+    for whole in (
+        folder("one", "robot1.mcap"),
+        folder("split", "run_0.db3", "run_1.db3"),
+        folder("bag", "run_3.db3", "other.db3", "metadata.yaml"),
+        folder("none", "notes.txt"),
+        tmp_path / "one" / "robot1.mcap",
+        tmp_path / "nowhere",
+    ):
+        assert recordings_in(whole) == [whole]

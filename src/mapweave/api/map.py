@@ -17,7 +17,7 @@ from ..core.paths import AnyConfig, kind_of, path_arguments, path_of
 from ..core.workers import Progress, no_progress, one_blas_thread
 from ..io.directory import check_target, result_directory
 from ..io.kept import kept_parts
-from ..io.laser_logs import is_bag
+from ..io.laser_logs import is_bag, recordings_in
 from ..io.table import Columns, columns_of
 from ..io.unknown import not_known
 from .in_memory import Truths, decisions_of_argument, truth_files
@@ -318,6 +318,7 @@ def _of_logs(logs: Sequence[Path | str | LaserLog | Log], options: MapOptions) -
         from .map_mixed import map_logs  # noqa: PLC0415  (each kind of log imports what it needs)
 
         return map_logs(paths, options)
+    paths = [recording for path in paths for recording in recordings_in(path)]
     mapper = _mapper(paths, options.method)
     _expect_fitting(mapper, paths[0], options)
     return mapper.map_logs(paths, options)

@@ -1,10 +1,12 @@
 """Any laser log, told apart by what is in it."""
 
+import re
 from pathlib import Path
 
 from ..core.config import config
 from ..core.errors import ReaderError
 from ..core.laser_log import LaserLog
+from ..core.names import in_order
 from ..core.plugins import Reader, load, plugged
 from .files import NotTextError, TextLog, recording_suffix
 from .rawlog import is_rawlog, read_rawlog_scans
@@ -12,6 +14,7 @@ from .scan_table import ScanTable, read_scan_table
 from .unknown import not_known
 
 BAGS = (".bag", ".db3", ".mcap")
+PART = re.compile(r"(.*)_(\d+)")  # the name of a part of a recording that was split
 
 
 @config
@@ -48,6 +51,19 @@ def is_bag(path: Path) -> bool:
     if path.is_dir():
         return (path / "metadata.yaml").is_file() or any(p.suffix in BAGS[1:] for p in path.iterdir())
     return bool(recording_suffix(path))
+
+
+def recordings_in(path: Path) -> list[Path]:
+    """The recordings of a folder without metadata that holds several, one a robot, in natural order; else `path` alone.
+
+    Those that are named as parts of one recording, NAME_0, NAME_1 .., are not taken for robots.
+    """
+    if not path.is_dir() or (path / "metadata.yaml").is_file():
+        return [path]
+    inside = sorted((p for p in path.iterdir() if p.suffix in BAGS), key=lambda p: in_order(p.name))
+    parts = [part for p in inside if (part := PART.fullmatch(p.stem)) is not None]
+    split = len(parts) == len(inside) and len({part[1] for part in parts}) == 1 and "0" in {part[2] for part in parts}
+    return [path] if len(inside) < 2 or split else inside
 
 
 def robots_of(path: Path, source: LaserSource) -> tuple[str | None, ...]:
