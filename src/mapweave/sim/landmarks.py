@@ -83,22 +83,24 @@ def drive_team(
     goal = _waypoints(homes, roam, size, rng)
     fade = np.exp(-COMMAND_STEP / SLIP_MEMORY)
     slip = rng.normal(size=(robots, 2))
-    kicks = np.sqrt(1 - fade * fade) * rng.normal(size=(n, robots, 2))
+    slips = np.sqrt(1 - fade * fade) * rng.normal(size=(n, robots, 2))
+    for k in range(n):
+        slips[k] += fade * (slips[k - 1] if k else slip)
     everyone = np.arange(robots)
-    for i in range(n - 1):
-        if i % DECIDE_EVERY == 0:
-            reached = np.linalg.norm(goal - pose[i, :, :2], axis=1) < 0.4
-            if reached.any():
-                goal[reached] = _waypoints(homes[reached], roam, size, rng)
-            command[i] = _towards(pose[i], goal)
-        else:
-            command[i] = command[i - 1]
-        late = command[np.maximum(i - lag, 0), everyone] * (i >= lag)[:, None]
-        slip = fade * slip + kicks[i]
-        v = v_scale * late[:, 0] + noise * slip[:, 0] * (SLIP_V * np.abs(late[:, 0]) + CREEP_V * (late[:, 0] > 0))
-        w = w_scale * late[:, 1] + noise * slip[:, 1] * (SLIP_W * np.abs(late[:, 1]) + CREEP_W * (late[:, 0] > 0))
-        twist = np.column_stack([v, np.zeros(robots), w]) * COMMAND_STEP
-        pose[i + 1] = se2.compose(pose[i], se2.exp(twist))
+    for start in range(0, n - 1, DECIDE_EVERY):
+        rows = slice(start, min(start + DECIDE_EVERY, n - 1))
+        reached = np.linalg.norm(goal - pose[start, :, :2], axis=1) < 0.4
+        if reached.any():
+            goal[reached] = _waypoints(homes[reached], roam, size, rng)
+        command[rows] = _towards(pose[start], goal)
+        heard = np.arange(rows.start, rows.stop)[:, None] - lag
+        v, w = np.moveaxis(command[np.maximum(heard, 0), everyone] * (heard >= 0)[..., None], -1, 0)
+        slip_v, slip_w = np.moveaxis(noise * slips[rows], -1, 0)
+        driven_v = v_scale * v + slip_v * (SLIP_V * np.abs(v) + CREEP_V * (v > 0))
+        driven_w = w_scale * w + slip_w * (SLIP_W * np.abs(w) + CREEP_W * (v > 0))
+        steps = se2.exp(np.stack([driven_v, np.zeros_like(v), driven_w], axis=-1) * COMMAND_STEP)
+        for k, step in enumerate(steps, rows.start):
+            pose[k + 1] = se2.compose(pose[k], step)
     command[-1] = command[-2]
     t = COMMAND_STEP * np.arange(n)
     hidden = np.column_stack([v_scale, w_scale, lag * COMMAND_STEP, bearing_bias, range_scale])
