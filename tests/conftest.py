@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from . import typecheck
+from .dots import save_a_dot
 
 # Shapes and types of every function of these rooms are checked while the tests run; in production they cost nothing.
 # Kernels are checked by their compiler; api and cli take what people hand them and check it themselves.
@@ -76,12 +77,6 @@ def pytest_runtest_setup(item):
         save = item.session.stash.setdefault(SAVE, style.save)
         whole = item.path.parent.name in DRAWN or item.get_closest_marker("drawn")
         style.save = save if whole else save_a_dot
-
-
-def save_a_dot(_, path):
-    from PIL import Image
-
-    Image.new("RGB", (1, 1)).save(path)
 
 
 def pytest_fixture_setup():

@@ -16,11 +16,18 @@ def source(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def direct(source):
-    """What `map` makes of the logs; who compares with it is marked `drawn`, as its pictures are."""
-    folder = source.parent / "direct"
-    map_logs(source, folder)
-    return folder
+def _maps():
+    return {}
+
+
+@pytest.fixture
+def direct(request, source, _maps):
+    """What `map` makes of the logs, once with its figures, for who is marked `drawn`, and once with a dot for each."""
+    whole = request.node.get_closest_marker("drawn") is not None
+    if whole not in _maps:
+        _maps[whole] = source.parent / ("drawn" if whole else "direct")
+        map_logs(source, _maps[whole])
+    return _maps[whole]
 
 
 @pytest.fixture

@@ -10,8 +10,9 @@ import tempfile
 import time
 from pathlib import Path
 
-COMMAND = (sys.executable, "-m", "mapweave", "live")
+from ..forked import Forked
 
+COMMAND = (sys.executable, "-m", "mapweave", "live")  # for those that another command starts
 
 PORTS = range(20_000, 30_000)  # below those that a system gives to who asks for any
 HELD: list[int] = []  # locks
@@ -45,15 +46,19 @@ class Fleet:
     def __init__(self, folder: Path, source: Path, prefix: dict[str, list[str]] | None = None) -> None:
         self.folder, self.source, self.at = folder, source, free_endpoint()
         self.prefix = prefix or {}
-        self.running: dict[str, subprocess.Popen] = {}
+        self.running: dict[str, subprocess.Popen | Forked] = {}
         self.more: list[str] = []
 
-    def start(self, name: str, *words: str) -> subprocess.Popen:
-        log = (self.folder / f"{name}.log").open("a")
-        env = {**os.environ, "PYTHONUNBUFFERED": "1"}
-        command = [*self.prefix.get(name, []), *COMMAND, *words, *self.more]
-        self.running[name] = subprocess.Popen(command, cwd=self.folder, stdout=log, stderr=subprocess.STDOUT, env=env)  # noqa: S603
-        return self.running[name]
+    def start(self, name: str, *words: str) -> subprocess.Popen | Forked:
+        log, words = self.folder / f"{name}.log", (*words, *self.more)
+        if name in self.prefix:
+            command, env = [*self.prefix[name], *COMMAND, *words], {**os.environ, "PYTHONUNBUFFERED": "1"}
+            with log.open("a") as said:
+                process = subprocess.Popen(command, cwd=self.folder, stdout=said, stderr=subprocess.STDOUT, env=env)  # noqa: S603
+        else:
+            process = Forked(["live", *words], self.folder, log)
+        self.running[name] = process
+        return process
 
     def map(self, *words: str, robots="r1,r2", name="map"):
         return self.start(

@@ -16,8 +16,6 @@ from mapweave.live.transport import Network
 from .bad_network import LossyRelay, Relay, ip, killed_at_random, lossy, two_namespaces
 from .processes import free_endpoint, same_result
 
-pytestmark = pytest.mark.drawn
-
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("delay", "lease"), [(0.9, "3"), pytest.param(2.0, "10", marks=pytest.mark.long)])
@@ -61,6 +59,7 @@ def test_a_line_that_loses_a_fifth_of_its_packets_and_breaks_off_at_random_chang
     same_result(direct, fleet.folder / "out-map")
 
 
+@pytest.mark.drawn  # of processes that save whole figures
 @pytest.mark.slow
 @pytest.mark.parametrize("bad", ["cut", "lossy"])
 def test_in_namespaces_whose_link_goes_down_or_loses_packets_the_map_is_the_same(fleet, direct, bad):

@@ -1,7 +1,5 @@
 """Laser robots: scans told and put together again to the bit, and real processes whose map is that of their logs."""
 
-import subprocess
-import sys
 from dataclasses import replace
 from functools import cache
 
@@ -19,6 +17,7 @@ from mapweave.live.sources import open_source
 from mapweave.mapping.config import LaserConfig
 from mapweave.sim.laser_worlds import CorridorConfig, OfficeConfig
 
+from ..forked import Forked
 from .processes import Fleet, same_result
 
 
@@ -136,8 +135,8 @@ def test_laser_robots_that_drive_give_the_map_of_their_logs(tmp_path):
     world = OfficeConfig(rooms=1, visited=1)
     for seed, path in enumerate(logs, 1):
         simulate_laser(path, world, seed=seed)
-    command = [sys.executable, "-m", "mapweave", "map", *map(str, logs), "--out", str(tmp_path / "direct")]
-    subprocess.run(command, check=True, capture_output=True, timeout=120)  # noqa: S603
+    direct = Forked(["map", *map(str, logs), "--out", "direct"], tmp_path, tmp_path / "direct.log")
+    assert direct.wait(120) == 0
     fleet = Fleet(tmp_path, tmp_path)
     try:
         fleet.map()

@@ -9,9 +9,8 @@ import pytest
 
 from .processes import same_result
 
-pytestmark = pytest.mark.drawn
 
-
+@pytest.mark.drawn
 @pytest.mark.slow
 def test_a_team_that_drives_gives_the_map_of_its_logs_whoever_is_killed_meanwhile(fleet, direct):
     fleet.map()
