@@ -8,8 +8,6 @@ import pytest
 
 from .terminal import run
 
-pytestmark = pytest.mark.drawn
-
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
@@ -246,6 +244,7 @@ def test_truth_that_cannot_be_read_is_refused_before_the_log_costs_any_time(tmp_
 
 
 @pytest.mark.slow
+@pytest.mark.drawn
 def test_a_score_is_added_to_the_report_and_takes_the_place_of_an_earlier_one(recording, tmp_path):
     out = tmp_path / "out"
     run("map", recording, "--out", out, "--no-refine")

@@ -12,8 +12,6 @@ from mapweave.api.result import load
 
 from .terminal import run
 
-pytestmark = pytest.mark.drawn
-
 
 def tree(folder: Path, *patterns: str):
     found = {p for pattern in patterns for p in folder.glob(pattern) if p.is_file()}
@@ -36,6 +34,7 @@ def world(tmp_path_factory):
     return home
 
 
+@pytest.mark.drawn
 def test_map_writes_the_documented_files(world):
     made = {str(p.relative_to(world / "a")) for p in (world / "a").rglob("*") if p.is_file()}
     robots = [f"trajectories/robot{k}.{end}" for k in (1, 2, 3) for end in ("tum", "cov.csv")]
@@ -162,6 +161,7 @@ def test_a_zip_is_read_as_its_folder(world):
 
 
 @pytest.mark.slow
+@pytest.mark.drawn
 def test_fusing_saved_maps_names_robots_after_their_folders(world):
     run("map", world / "team", "--out", world / "one", "--robots", "1,2")
     run("map", world / "team", "--out", world / "two", "--robots", "3")
@@ -214,6 +214,7 @@ def test_view_tells_where_the_report_is_when_there_is_no_display(world, monkeypa
 
 
 @pytest.mark.slow
+@pytest.mark.drawn
 def test_fused_while_the_logs_play_the_last_map_is_the_offline_one(world):
     code, _, err = run("map", world / "team", "--out", world / "on", "--seed", 3, "--fuse-every", 20)
     assert (code, err) == (0, "")
