@@ -177,7 +177,7 @@ def draw(area: Area, n: int, seed: int) -> Drawn:
     """`n` mistakes of an area (0: every one); equivalent ones among them do not count."""
     area.check_tests()
     files = {file: file.relative_to(HOUSE).as_posix() for file in area.files()}
-    pool = [mutant for file, path in files.items() for mutant in Finder(path, file.read_bytes()).mutants()]
+    pool = [mutant for file, path in files.items() for mutant in possible(path, file.read_bytes())]
     same = {m: e for e in EQUIVALENT if defining(e.source) in files for m in mistakes(e)}
     drawn = sorted(sorted(pool, key=lambda mutant: lot(mutant, seed))[: n or len(pool)])
     return Drawn(
@@ -186,6 +186,12 @@ def draw(area: Area, n: int, seed: int) -> Drawn:
         tuple((m, same[m]) for m in drawn if m in same),
         len(pool),
     )
+
+
+@cache
+def possible(path: str, source: bytes) -> tuple[Mutant, ...]:
+    """Every mistake that can be made in a file."""
+    return tuple(Finder(path, source).mutants())
 
 
 @cache
@@ -212,7 +218,7 @@ def mistakes(known: Equivalent) -> list[Mutant]:
     source = file.read_bytes()
     found = [
         mutant
-        for mutant in Finder(file.relative_to(HOUSE).as_posix(), source).mutants()
+        for mutant in possible(file.relative_to(HOUSE).as_posix(), source)
         if mutant.lines(source) == (known.before, known.after)
     ]
     if not found:
