@@ -358,9 +358,11 @@ def _configured(options: MapOptions) -> MixedMapConfig:
     idle = {
         "--fuse-every": options.fuse_every,
         "--online": options.online,
+        "--radios": options.radios,
         "--likelihood": options.laser.likelihood,
+        "--resample": options.laser.resample,
+        "--resume": options.laser.resume,
     }
-    idle["--resample"] = options.laser.resample
     if given := [name for name, value in idle.items() if value]:
         raise UsageError(f"{', '.join(given)}: not for mixed teams")
     asked = options.laser
