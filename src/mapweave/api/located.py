@@ -1,7 +1,9 @@
 """What `locate` was given, made ready, and what it found: of robots that stand still, and of robots that move."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -174,6 +176,9 @@ def _known(
         if p.shape != (table.dim,) or not np.isfinite(p).all():
             raise UsageError(f"--anchor {robot}: expected {table.dim} finite coordinates, found {p.tolist()}")
         known[index(robot, "anchor")] = p
+    for row in distances:
+        if not isinstance(row, Sequence) or len(row) != 3 or not (isinstance(row[2], Real) and 0.0 < row[2] < math.inf):
+            raise UsageError(f"distances: expected two robots and metres above 0 between them, found {row!r}")
     apart = tuple(Distance(index(a, "robot"), index(b, "robot"), float(d)) for a, b, d in distances)
     return known, apart
 

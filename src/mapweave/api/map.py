@@ -1,7 +1,7 @@
 """One map from the logs of a team: which kind of log it is decides who maps, and an executor where."""
 
 import logging
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Sized
 from concurrent.futures import Executor
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
@@ -420,6 +420,7 @@ def _mapper(logs: Sequence[Path], method: str | None) -> Mapper:
 
 
 def _start(robot: str, numbers: Sequence[float]) -> tuple[float, float, float]:
-    if len(numbers) not in {3, 4}:
-        raise UsageError(f"--start of robot {robot}: expected x, y, theta or x, y, theta, sigma, found {len(numbers)}")
+    found = len(numbers) if isinstance(numbers, Sized) else kind_of(numbers)
+    if found not in {3, 4}:
+        raise UsageError(f"--start of robot {robot}: expected x, y, theta or x, y, theta, sigma, found {found}")
     return float(numbers[0]), float(numbers[1]), float(numbers[2])

@@ -1,18 +1,21 @@
-"""Arguments that are paths or settings: what is handed over in place of one is refused by name, first of all."""
+"""Arguments of verbs: what is of another kind than its annotation says is refused by name, first of all."""
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, is_dataclass
 from functools import wraps
-from numbers import Integral
+from numbers import Integral, Real
 from os import PathLike
 from pathlib import Path
-from types import NoneType
-from typing import Any, ClassVar, ParamSpec, Protocol, TypeVar, get_args, get_origin, runtime_checkable
+from types import NoneType, UnionType
+from typing import Any, ClassVar, ParamSpec, Protocol, TypeVar, Union, get_args, get_origin, runtime_checkable
 
 from .errors import UsageError
+from .workers import Progress
 
 P = ParamSpec("P")
 T = TypeVar("T")
+PACKAGE = f"{__name__.partition('.')[0]}."
 
 
 @runtime_checkable
@@ -43,42 +46,81 @@ def kind_of(given: object) -> str:
     return "None" if given is None else type(given).__name__
 
 
-def _is_mapping(annotation: object) -> bool:
-    """Whether it is a mapping or None, and nothing else."""
-    kinds = get_args(annotation)
-    return NoneType in kinds and all(kind is NoneType or get_origin(kind) is Mapping for kind in kinds)
+# what an annotation may be made of: the kind that is taken for it, and what a message calls it
+PLAIN: dict[object, tuple[type, str]] = {
+    Path: (PathLike, "a path"),
+    str: (str, "text"),
+    int: (Integral, "a whole number"),
+    float: (Real, "a number"),
+    bool: (Integral, "True or False"),
+    Mapping: (Mapping, "a mapping"),
+    Sequence: (Iterable, "a sequence"),
+    Progress: (Callable, "a function"),  # type: ignore[dict-item]
+    Callable: (Callable, "a function"),  # type: ignore[dict-item]
+}
+NO_SEQUENCE = (str, bytes, Mapping)  # letters, numbers or keys one by one are not what was meant
+TRUTHS = {"bool", "bool_"}  # the kinds of truth values, NumPy's too
+
+
+@dataclass(frozen=True, slots=True)
+class _Expected:
+    """What a parameter takes, of an annotation that is made of plain kinds and of classes of this package alone."""
+
+    kinds: tuple[type, ...]
+    words: str
+    sequence: bool
+    truth: bool
+
+    @classmethod
+    def of(cls, annotation: object) -> "_Expected | None":
+        """None for an annotation with other parts, which the verb looks at itself."""
+        if annotation == AnyConfig | None:
+            kinds = (str, PathLike, Mapping, IsConfig, NoneType)
+            return cls(kinds, "a TOML file, its tables or an object of settings", sequence=False, truth=False)
+        union = get_origin(annotation) in {Union, UnionType}
+        parts = [get_origin(part) or part for part in (get_args(annotation) if union else (annotation,))]
+        taken: list[type] = []
+        words: list[str] = []
+        for part in parts:
+            if part is NoneType:
+                taken.append(NoneType)
+            elif part in PLAIN:
+                taken.append(PLAIN[part][0])
+                words.append(PLAIN[part][1])
+            elif isinstance(part, type) and is_dataclass(part) and part.__module__.startswith(PACKAGE):
+                taken.append(part)
+                words.append(f"a {part.__name__}")
+            else:
+                return None
+        held = {part for part in parts if part is not NoneType}
+        if held == {Path, str}:
+            words = ["a path"]
+        elif held & {Path, Mapping, Sequence} and len(held) > 1:  # data, as paths or in memory
+            return None
+        return cls(tuple(taken), " or ".join(words), sequence=Sequence in held, truth=bool in held)
+
+    def takes(self, given: object) -> bool:
+        if self.sequence and isinstance(given, NO_SEQUENCE):
+            return False
+        return isinstance(given, self.kinds) or (self.truth and kind_of(given) in TRUTHS)
 
 
 def path_arguments(verb: Callable[P, T]) -> Callable[P, T]:
-    """`verb` raises UsageError for anything but a path where its annotation is `Path | str`, or that and None.
+    """`verb` raises UsageError by the argument's name for what is of another kind than its annotation says.
 
-    So it does for anything but settings where it is `AnyConfig | None`, but a mapping where it is one or None, but a
-    whole number where it is `int`.
+    That is asked where the annotation is made of paths, text, numbers, mappings, sequences, functions, settings and
+    classes of this package; data that come in many kinds are the verb's own to check.
     """
     parameters = inspect.signature(verb).parameters
     names = tuple(parameters)
-    wanted: dict[str, bool] = {}
-    settings = {name for name, parameter in parameters.items() if parameter.annotation == AnyConfig | None}
-    whole = {name for name, parameter in parameters.items() if parameter.annotation is int}
-    mappings = {name for name, parameter in parameters.items() if _is_mapping(parameter.annotation)}
-    for name, parameter in parameters.items():
-        kinds = get_args(parameter.annotation)
-        if Path in kinds and all(kind in (Path, str, NoneType) for kind in kinds):
-            wanted[name] = NoneType in kinds
+    each = {name: _Expected.of(parameter.annotation) for name, parameter in parameters.items()}
 
     @wraps(verb)
     def checked(*args: P.args, **options: P.kwargs) -> T:
         for name, given in (*zip(names, args, strict=False), *options.items()):
-            if name in wanted and not (given is None and wanted[name]):
-                path_of(given, name)
-            if name in settings and not isinstance(given, (str, PathLike, Mapping, IsConfig, NoneType)):
-                raise UsageError(
-                    f"{name}: expected a TOML file, its tables or an object of settings, found {kind_of(given)}"
-                )
-            if name in whole and not isinstance(given, Integral):
-                raise UsageError(f"{name}: expected a whole number, found {kind_of(given)}")
-            if name in mappings and not isinstance(given, (Mapping, NoneType)):
-                raise UsageError(f"{name}: expected a mapping, found {kind_of(given)}")
+            expected = each.get(name)
+            if expected is not None and not expected.takes(given):
+                raise UsageError(f"{name}: expected {expected.words}, found {kind_of(given)}")
         return verb(*args, **options)
 
     return checked

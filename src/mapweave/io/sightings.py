@@ -119,6 +119,8 @@ def natural_order(names: set[str]) -> tuple[str, ...]:
 
 
 def _layout(file: Table, dim: int | None) -> tuple[str, ...]:
+    if dim not in {None, 2, 3}:
+        raise UsageError(f"--dim: expected 2 or 3, found {dim}")
     layouts = [names for names in LAYOUTS if all(name in file.columns for name in names)]
     if dim is not None:
         layouts = [names for names in layouts if (len(names) == 1) == (dim == 2)]
