@@ -7,6 +7,7 @@ from io import BytesIO
 
 import numpy as np
 import pytest
+from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
 from PIL import Image
 
@@ -243,6 +244,17 @@ def test_a_picture_shows_ellipses_whole_and_does_not_grow_for_huge_ones(sd, shar
     ends = [np.array([k * 2.4477 * sd, 0.0]) + p for p in at for k in (-1, 1)]
     assert np.mean([((p > low) & (p < high)).all() for p in ends]) == share
     assert (high - low).max() < 1.5 * 10.0
+
+
+def test_ellipses_of_robots_that_nothing_holds_are_drawn_only_as_far_as_they_show():
+    """With half axes of 1e25 m the picture of a swarm whose bearings pointed backwards was never done."""
+    scene, at = Scene("a swarm"), np.array([[0.0, 0.0], [10.0, 0.0], [5.0, 8.0]])
+    scene.points("robots", ["1", "2", "3"], at, "#808080", ["", "", ""], np.tile(np.diag([1e50, 1.0]), (3, 1, 1)))
+    ax = Figure().add_subplot()
+    scene._draw_on(ax, ())
+    (ellipses,) = (one for one in ax.collections if isinstance(one, EllipseCollection))
+    assert ellipses.get_widths().max() <= 2.0 * 1e3 * 10.0
+    assert np.allclose(ellipses.get_heights(), 2.0 * 2.4477, rtol=1e-3)
 
 
 def test_what_was_found_stands_where_its_robot_was():

@@ -41,6 +41,7 @@ LEVELS = 254  # steps of time in which cells become known; one more is never
 SHAPES = {"dot": "o", "ring": "o", "star": "*", "cross": "X", "triangle": "^"}  # Matplotlib's markers
 CELLS = ListedColormap(["#DBDBDB", "#FFFFFF", "#24292F"])  # of unknown, free and wall in a picture
 MOST_NAMED = 60  # points of a layer from which names would cover a picture
+ELLIPSE_AT_MOST = 1e3  # times the points' span that a half axis is drawn: more looks the same, and takes for ever
 WIDER = 0.15  # of its longer side that a picture grows by at most at each, to show ellipses whole
 FEW_POINTS = 1500  # up to which each is drawn with its ellipse; of more the colour tells how sure they are
 
@@ -245,8 +246,9 @@ class Scene:
         ax.plot(*at.T, SHAPES[one["shape"]], color=tint, mfc=fill, ms=size, ls="none", label=one["layer"], zorder=5)
         if one["ellipses"] is not None:
             a, b, angle = np.array(one["ellipses"]).T
-            most = float(np.ptp(at, axis=0).max()) * min(0.035, 0.15 / np.sqrt(len(at)))
-            grow = larger(float(np.median(a)), most)
+            span = float(np.ptp(at, axis=0).max())
+            grow = larger(float(np.median(a)), span * min(0.035, 0.15 / np.sqrt(len(at))))
+            a, b = (np.minimum(axis, ELLIPSE_AT_MOST * span) for axis in (a, b)) if span else (a, b)
             look: Any = {"facecolors": "none", "edgecolors": tint, "linewidths": 0.8, "zorder": 3}
             axes = (2 * grow * a, 2 * grow * b, np.degrees(angle))
             ax.add_collection(EllipseCollection(*axes, units="xy", offsets=at, offset_transform=ax.transData, **look))
