@@ -371,3 +371,19 @@ def test_every_result_type_that_is_offered_is_tried_here_or_is_a_reproduction():
         kind = getattr(mapweave, name)
         assert not kind.__abstractmethods__
         assert set(dir(kind)) >= FACE
+
+
+@pytest.mark.parametrize("name", ["local/robot1/local_map.json", "landmarks.npz", "metrics.json"])
+def test_a_result_that_is_not_whole_is_neither_scored_nor_fused(name, tmp_path):
+    """A robot whose local map was not copied was missing from the fused map, and nothing said so."""
+    team = tmp_path / "team"
+    mapweave.simulate_landmarks(team, robots=2, landmarks=8, minutes=0.5, seed=1)
+    mapweave.map(team, tmp_path / "out")
+    if name == "metrics.json":
+        (tmp_path / "out" / name).write_text("{}", encoding="utf-8")
+    else:
+        (tmp_path / "out" / name).unlink()
+    with pytest.raises(mapweave.ReaderError, match=name):
+        mapweave.evaluate(tmp_path / "out", team)
+    with pytest.raises(mapweave.ReaderError, match=name):
+        mapweave.fuse(tmp_path / "out")

@@ -34,6 +34,7 @@ from ..io.landmark_truth import TABLE, read_robot_truth, read_survey
 from ..io.positions import Positions, read_network, read_positions, read_track, track_files
 from ..io.pyfg import is_pyfg, read_pyfg
 from ..io.relations import is_relations, read_relations
+from ..io.saved_result import expect_whole
 from ..io.sightings import SwarmTruth
 from ..io.table import read_table
 from ..io.team_map import read_metrics, read_single_maps, read_team_maps
@@ -501,6 +502,8 @@ def evaluate(directory: Path | str | ResultBase, truth: Truths) -> Evaluation:
     with folders as folder, truth_files(truth) as paths:
         if not paths:
             raise UsageError("truth: expected paths or tables in memory, found none")
+        if not alone:
+            expect_whole(folder)
         evaluation: Evaluation = judge_track(folder, paths) if alone else judged(folder, paths)
         if evaluation.unscored:
             raise DataError(f"{', '.join(map(str, paths))}: nothing to score: {evaluation.unscored}; {RULE}")

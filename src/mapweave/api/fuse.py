@@ -16,6 +16,7 @@ from ..fusion.join import fuse as join_maps
 from ..io.directory import check_target
 from ..io.laser_state import holds_state, laser_homes, read_laser_states
 from ..io.local_map import read_local_map
+from ..io.saved_result import expect_whole
 from ..landmarks.landmark_map import LocalMap
 from ..laser.laser_map import LaserMap
 from .evaluate import expect_truth
@@ -153,6 +154,7 @@ def fuse(
         for folder in given:
             if not folder.is_dir():
                 raise ReaderError(folder, "no such folder")
+            expect_whole(folder)
         if scores:
             expect_there(scores)
             expect_truth(scores)

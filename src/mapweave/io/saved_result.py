@@ -23,6 +23,7 @@ from ..core.config import fixed_keys
 from ..core.errors import ReaderError
 from ..core.version import __version__
 from .npz import read_arrays, write_arrays
+from .team_map import read_metrics
 
 NAME = "result.npz"
 FORMAT = 1  # of the tree; a class whose fields changed is noticed by itself
@@ -56,11 +57,8 @@ def read_result(folder: Path) -> Any:
     lacks a file of the result or holds one that was changed.
     """
     path = folder / NAME
-    if not path.is_file():
-        raise ReaderError(path, f"no such file: the result is not whole, or of an earlier version: {AGAIN}")
-    arrays = read_arrays(path, "a result")
+    arrays, held = _read(path)
     try:
-        held = json.loads(arrays.pop("tree").tobytes())
         version = held["version"]
         if held["format"] != FORMAT:
             raise ReaderError(path, f"expected format {FORMAT}, found {held['format']}, of mapweave {version}: {AGAIN}")
@@ -69,13 +67,46 @@ def read_result(folder: Path) -> Any:
         result = _made(held["result"], classes, arrays)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, RecursionError) as error:
         raise ReaderError(path, f"expected a result, found it damaged: {error!r:.120}") from None
+    _expect_files(folder, files)
+    return result
+
+
+def expect_whole(folder: Path) -> None:
+    """Raises ReaderError where files of a result are missing or changed, whatever version wrote it.
+
+    A folder without `result.npz`, as other programs write, tells nothing of that and is taken as it is.
+    """
+    path = folder / NAME
+    if not path.is_file():
+        return
+    read_metrics(folder)
+    _, held = _read(path)
+    try:
+        files = dict(held["files"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise ReaderError(path, f"expected a result, found it damaged: {error!r:.120}") from None
+    _expect_files(folder, files)
+
+
+def _read(path: Path) -> tuple[dict[str, np.ndarray], Any]:
+    """The numbers of a result, and the tree that points into them."""
+    if not path.is_file():
+        raise ReaderError(path, f"no such file: the result is not whole, or of an earlier version: {AGAIN}")
+    arrays = read_arrays(path, "a result")
+    try:
+        return arrays, json.loads(arrays.pop("tree").tobytes())
+    except (KeyError, ValueError) as error:
+        raise ReaderError(path, f"expected a result, found it damaged: {error!r:.120}") from None
+
+
+def _expect_files(folder: Path, files: Mapping[str, str]) -> None:
+    """Raises ReaderError where a file of the result is missing, or another than its digest in `files`."""
     there = _hashes(folder)
     if missing := [name for name in files if name not in there]:
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
         raise ReaderError(folder / missing[0], f"no such file{more}: the result is not whole, copy all of it")
     if changed := [name for name, digest in files.items() if there[name] != digest]:
         raise ReaderError(folder / changed[0], f"it is not as the result wrote it, but damaged or edited: {AGAIN}")
-    return result
 
 
 def _hashes(folder: Path) -> dict[str, str]:
