@@ -223,6 +223,8 @@ def test_a_kernel_that_is_kept_is_not_compiled_again(tmp_path):
         (["locate", "s.csv"], "mapweave: locate: --out is missing; mapweave locate --help tells what it is\n"),
         (["simulate", "swarm"], "mapweave: simulate swarm: --out is missing; "),
         (["locate", "--out", "x"], "mapweave: locate: SIGHTINGS is missing; "),
+        (["locate", "s.csv", "--sigma", "-1deg"], "mapweave: --sigma: -1deg reads as an option; a value that begins "),
+        (["locate", "s.csv", "--sigma"], "mapweave: locate: --sigma is missing; "),
     ],
 )
 def test_what_a_command_was_not_given_is_named(capsys, words, told):

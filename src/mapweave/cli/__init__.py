@@ -5,6 +5,7 @@ import os
 import sys
 from contextlib import nullcontext, suppress
 from io import TextIOWrapper
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from ..core.version import __version__
@@ -111,7 +112,7 @@ def _run(tokens: list[str], interruption: Interruption | None = None) -> int:
             app = make_app()
             app(tokens, exit_on_error=False, print_error=False)
     except (CycloptsError, MapweaveError, MemoryError, KeyboardInterrupt) as error:
-        return _failed(error, asked=interruption is not None and interruption.asked)
+        return _failed(error, tokens, asked=interruption is not None and interruption.asked)
     except BrokenPipeError:
         return _stop_writing()
     except OSError as error:
@@ -125,17 +126,20 @@ def _run(tokens: list[str], interruption: Interruption | None = None) -> int:
     return 0
 
 
-def _missing(error: BaseException) -> str:
-    """What a command was not given, "" where that is not what is wrong."""
+def _missing(error: BaseException, tokens: list[str] | tuple[str, ...]) -> str:
+    """What a command was not given, or given so that it reads as an option; "" where that is not what is wrong."""
     from cyclopts import MissingArgumentError
 
     if not isinstance(error, MissingArgumentError) or error.argument is None:
         return ""
-    command = " ".join(error.command_chain or ())
-    return f"{command}: {error.argument.name} is missing; mapweave {command} --help tells what it is"
+    command, name = " ".join(error.command_chain or ()), error.argument.name
+    for before, word in pairwise(tokens):
+        if before == name and word.startswith("-") and word != "--":
+            return f"{name}: {word} reads as an option; a value that begins with - is written {name}={word}"
+    return f"{command}: {name} is missing; mapweave {command} --help tells what it is"
 
 
-def _failed(error: BaseException, *, asked: bool = False) -> int:
+def _failed(error: BaseException, tokens: list[str] | tuple[str, ...] = (), *, asked: bool = False) -> int:
     """The exit status, the reason told in one line, and what the error's notes add; asked: Ctrl-C was pressed."""
     notes = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
     if asked or isinstance(error, KeyboardInterrupt):
@@ -147,5 +151,5 @@ def _failed(error: BaseException, *, asked: bool = False) -> int:
     if isinstance(error, OSError):
         warn(f"{error.filename}: {error.strerror}{notes}")
         return 1
-    warn(f"{_missing(error) or error}{notes}")
+    warn(f"{_missing(error, tokens) or error}{notes}")
     return int(getattr(error, "exit_code", 2))  # what cannot be parsed is bad usage
