@@ -74,3 +74,11 @@ def test_the_command_tells_a_sentence_with_evidence_and_mending(tmp_path, capsys
         "likeliest cause: robot2: the scanner's beams run the wrong way round (the scans turn against the odometry); "
         "map again with --mirrored"
     )
+
+
+def test_a_result_that_is_no_map_is_refused_as_one(tmp_path):
+    """It was taken for a folder of logs, whose files were missing."""
+    sightings = {"observer": ["a", "b", "c"], "target": ["b", "c", "a"], "bearing": [0.0, 2.1, -2.1]}
+    mapweave.locate(sightings, tmp_path / "located", anchors={"a": [0.0, 0.0], "b": [1.0, 0.0]})
+    with pytest.raises(mapweave.UsageError, match=r"located: expected a map or logs, .* another kind \(Located\)"):
+        mapweave.doctor(tmp_path / "located")

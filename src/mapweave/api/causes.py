@@ -194,7 +194,10 @@ def causes_of(subject: Any) -> Causes:
         source, result = str(subject), None
         if any((Path(subject) / name).is_file() for name in MARKERS):
             held = load(subject)
-            result = held if isinstance(held, MapResult) else None  # simulated logs are results, too
+            result = held if isinstance(held, MapResult) else None
+            kind = type(held).__name__
+            if result is None and not kind.startswith("Simulated"):  # which are logs, too
+                raise UsageError(f"{subject}: expected a map or logs, found a result of another kind ({kind})")
     else:
         source, result = "in memory", subject if isinstance(subject, MapResult) else None
         if result is None and not isinstance(subject, Log):
