@@ -316,7 +316,7 @@ def test_a_folder_that_is_not_the_result_any_more_is_refused_in_one_line(home, t
 def test_no_folder_of_a_result_and_a_result_of_another_kind_are_refused(home, tmp_path):
     with pytest.raises(mapweave.ReaderError, match=r"expected a mapweave result with metrics\.json, found none"):
         mapweave.load(tmp_path)
-    with pytest.raises(mapweave.UsageError, match="expected a LaserResult, found a TeamResult"):
+    with pytest.raises(mapweave.UsageError, match=r"expected a map of laser logs \(LaserResult\), found a map of l"):
         mapweave.load(home / "team-map", mapweave.LaserResult)
 
 

@@ -5,7 +5,9 @@ import pytest
 
 from mapweave.core.bearings import parse_angle
 from mapweave.core.errors import DataError, ReaderError, UsageError
+from mapweave.core.records import Track
 from mapweave.io.sightings import read_sightings, read_swarm_truth
+from mapweave.io.tum import read_track_covariance
 
 
 def written(tmp_path, text, name="s.csv"):
@@ -92,6 +94,17 @@ def test_degrees_in_place_of_radians_are_warned_about(tmp_path):
     assert "degrees" in log.warnings[0]
     assert "2 of 3" in log.warnings[0]
     assert not read_sightings(written(tmp_path, "observer,target,bearing\na,b,6.2\nb,a,-3\n")).warnings
+    space = "observer,target,azimuth,elevation\na,b,6.2,1.589\nb,a,-3,0.2\n"
+    (told,) = read_sightings(written(tmp_path, space)).warnings
+    assert "1 of 2 elevations lie beyond straight up or down (largest 1.589 rad)" in told
+
+
+def test_covariances_without_rows_are_refused_in_one_line(tmp_path, recwarn):
+    path = tmp_path / "robot1.cov.csv"
+    path.write_text("t,xx,xy,yy,xt,yt,tt\n")
+    with pytest.raises(ReaderError, match="of 2 poses beside it, found 0"):
+        read_track_covariance(path, Track(np.arange(2.0), np.zeros((2, 3))))
+    assert not recwarn.list
 
 
 def test_a_table_of_robot_and_id_reads_as_observer_and_target(tmp_path):

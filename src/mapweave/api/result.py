@@ -55,6 +55,19 @@ class MapResult(Result, Protocol):
     def finish(self, folder: Path) -> None: ...
 
 
+IN_WORDS = {  # types of results as a command's user knows them
+    "LaserResult": "a map of laser logs",
+    "TeamResult": "a map of landmark logs",
+    "MixedResult": "a map of a mixed team",
+    "RangeResult": "a map by ranges",
+    "LocalizeResult": "a robot's way in a map",
+    "Located": "robots placed by bearings",
+    "Moved": "moving robots placed by bearings",
+    "LaserExploration": "an exploration with lasers",
+    "LandmarkExploration": "an exploration among landmarks",
+}
+
+
 class EvaluationBase(ResultBase):
     """Base of scores: `as_json` has the documented keys; `metrics` adds the version, as in `metrics.json`."""
 
@@ -140,7 +153,8 @@ def load(folder: Path | str, kind: type[R] | None = None) -> Result | R:
     metrics = read_json(path)
     result = read_result(home)
     if kind is not None and not isinstance(result, kind):
-        raise UsageError(f"{folder}: expected a {kind.__name__}, found a {type(result).__name__}")
+        wanted, found = (f"{IN_WORDS.get(k.__name__, 'another result')} ({k.__name__})" for k in (kind, type(result)))
+        raise UsageError(f"{folder}: expected {wanted}, found {found}")
     made = json.loads(json.dumps(plain(result.metrics)))
     if changed := [key for key in made | metrics if key not in LATER and made.get(key) != metrics.get(key)]:
         raise ReaderError(path, f"{changed[0]}: it is not as the result wrote it, but damaged or edited")

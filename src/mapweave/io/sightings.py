@@ -184,17 +184,20 @@ def _tame(directions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
     return directions / np.where(largest > HUGE, largest, 1.0)
 
 
+# what each angle of a bearing is called, how far it may go [rad], and that in words
+LIMITS = (("bearings", 2.0 * np.pi, "a full turn"), ("elevations", 0.5 * np.pi, "straight up or down"))
+
+
 def _warnings(path: Path | str, layout: tuple[str, ...], values: Float[np.ndarray, "m c"]) -> list[str]:
     if len(layout) == 3:
         return []
-    beyond = np.abs(values[:, 0]) > 2.0 * np.pi + 1e-6
-    if len(layout) == 2:
-        beyond |= np.abs(values[:, 1]) > 0.5 * np.pi + 1e-6
-    if not beyond.any():
-        return []
-    largest = float(np.abs(values).max())
-    what = f"{int(beyond.sum())} of {len(values)} bearings lie beyond a full turn (largest {largest:.4g} rad)"
-    return [f"{path}: {what}: are they degrees? Bearings are read as radians"]
+    told = []
+    for column, (name, most, words) in enumerate(LIMITS[: len(layout)]):
+        size = np.abs(values[:, column])
+        if beyond := int((size > most + 1e-6).sum()):
+            what = f"{beyond} of {len(values)} {name} lie beyond {words} (largest {size.max():.4g} rad)"
+            told.append(f"{path}: {what}: are they degrees? Bearings are read as radians")
+    return told
 
 
 def read_swarm_odometry(path: Path | Table) -> dict[str, Odometry]:

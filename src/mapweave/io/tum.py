@@ -1,6 +1,7 @@
 """TUM trajectories, lines `t x y z qx qy qz qw` and `#` comments, and the covariance of every pose beside them."""
 
 from pathlib import Path
+from warnings import catch_warnings
 
 import numpy as np
 from jaxtyping import Float
@@ -109,7 +110,8 @@ def read_track_covariance(path: Path, track: Track) -> Track:
     is no covariance.
     """
     try:
-        rows = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
+        with catch_warnings(action="ignore"):  # of a file without rows, which is told below
+            rows = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
     except (OSError, ValueError) as error:
         raise ReaderError(path, f"expected the covariances of a trajectory: {error}") from None
     if rows.shape != (len(track.t), 7) or not np.isfinite(rows).all():

@@ -83,7 +83,7 @@ def _laser(path: Path, key: str | None, name: str, *, asked: bool) -> LaserLog:
         else:
             raise UsageError(f"--robot: which robot is {name}? {path} holds {', '.join(names)}")
     elif asked and key != "1":
-        raise UsageError(f"--robot {key}: {path} holds one robot")
+        raise UsageError(f"--robot {key}: {path} holds one robot: leave --robot away")
     number = re.search(r"(\d+)$", name)
     return read_laser(path, robot_name("1" if number is None else str(int(number[1]))), replace(source, name=called))
 
