@@ -13,6 +13,7 @@ from mapweave.exploration.laser.config import LaserPlan, find_laser_scenario
 from mapweave.exploration.laser.experiment import LaserMission, explore_laser_once
 from mapweave.exploration.laser.planners import candidate_commands, steer
 from mapweave.kernels.exploration.arcs import arc_clearance
+from mapweave.laser.keyframes import KeyframeScan
 from mapweave.mapping.laser_team import LaserTeam
 from mapweave.mapping.merge import merge_maps
 from mapweave.sim.laser import LaserWorld
@@ -73,6 +74,8 @@ def test_robots_in_two_buildings_stay_apart_and_are_told_so(tmp_path):
     assert told.maps == 2
     assert "robot2: not found in the map of robot1, nor is what they mapped" in result.lines()
     assert [p.name for p in (out / "trajectories").iterdir()] == ["robot1.tum"]
+    assert np.isfinite(result.first.moments[-1].poses[0]).all()
+    assert np.isnan(result.first.moments[-1].poses[1]).all()  # nobody knows where it is in the map
     assert (out / "log" / "robot2.mcap").exists()
     metrics = json.loads((out / "metrics.json").read_text())
     assert metrics["unknown_starts"] is True
@@ -118,17 +121,42 @@ def test_who_is_in_view_is_seen_where_the_maps_truly_lie_and_not_elsewhere():
     assert seen <= 0.1 * through
 
 
+@pytest.mark.parametrize(
+    ("ranges", "told"),
+    [([2.8, 2.8, 2.8], 1), ([4.0, 4.0, 4.0], -1), ([2.8, 4.0, 4.0], 0), ([1.0, 1.0, 1.0], 0), ([2.8], 0)],
+)
+def test_a_robot_in_view_is_seen_where_most_beams_end_at_it_and_missing_where_all_go_on(ranges, told):
+    team = LaserTeam(None, np.zeros((2, 3)), apart=True)
+    at = np.array([0.0, 0.03, -0.03])[: len(ranges)]
+    points = np.array(ranges)[:, None] * np.column_stack([np.cos(at), np.sin(at)])
+    scan = KeyframeScan(0, 0, 0.0, np.zeros(3), points, np.zeros((0, 2)), np.zeros(2))
+    assert team._sees(scan, np.array([3.0, 0.0])) == told
+
+
 def test_crews_that_met_share_a_map_that_is_right_and_says_how_well():
     team, starts = two_in_a_hall()
     merge = merge_maps(team.keyframe_map(1), team.keyframe_map(0))
     assert merge.transform is not None
     np.testing.assert_allclose(merge.transform, se2.between(starts[1], starts[0]), atol=0.1)
-    points = sum(len(scan.points) for scan in team.scans)
+    before = [sum(len(scan.points) for scan in team.scans if scan.robot == j) for j in range(2)]
+    local = team.team.pose.copy()
     team.meet(1, 0, merge)
     assert team.team.crew.tolist() == [0, 0]
-    assert sum(len(scan.points) for scan in team.scans) < points  # what they saw of each other is gone
+    for j in range(2):  # what they saw of each other is gone
+        assert sum(len(scan.points) for scan in team.scans if scan.robot == j) < before[j]
+    np.testing.assert_allclose(team.starts[1], se2.between(starts[0], starts[1]), atol=0.1)
     ties = [c for c in team.closures if c.robots in {(0, 1), (1, 0)}]
     assert sum(c.accepted for c in ties) >= 3
+    (tie,) = [c for c in ties if c.reason == merge.reason]
+    T, P = se2.inverse(merge.transform), np.asarray(merge.covariance)
+    there = local[tie.second]  # in its own map
+
+    def moved(e):  # as the maps lie when the transform errs by e in the frame of the first map of the merge
+        other = se2.compose(merge.transform, se2.exp(e))
+        return se2.log(se2.between(se2.compose(T, there), se2.compose(se2.inverse(other), there)))
+
+    J = np.column_stack([(moved(h) - moved(-h)) / 2e-5 for h in 1e-5 * np.eye(3)])
+    np.testing.assert_allclose(np.linalg.inv(tie.information), J @ P @ J.T, rtol=1e-3, atol=1e-9)
     first = team.team.of[1][0]
     error = se2.between(se2.between(starts[0], starts[1]), team.team.pose[first])
     assert np.hypot(*error[:2]) < 0.06
