@@ -2,7 +2,9 @@
 
 import threading
 import time
+from concurrent.futures import Future
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -251,3 +253,18 @@ def test_a_message_that_breaks_the_inbox_is_counted_and_the_next_one_taken(tmp_p
         assert "KeyError" in inbox.ledgers["r2"].fault
         assert inbox.ledgers["r1"].complete
         assert isinstance(told[0], Header)
+
+
+def test_what_failed_is_told_even_if_the_graph_is_solved_before_anybody_asks(tmp_path, monkeypatch):
+    """A solution that came between the failure and the look at it made it forgotten."""
+    with Store(tmp_path / "s.sqlite", "a map") as store:
+        weaver = LaserWeaver(store, CFG, 1.0)
+    monkeypatch.setattr(LiveLaserTeam, "take", lambda *_: None)
+    failed, solved = Future(), Future()
+    failed.set_exception(TimeoutError("given up after 4 s"))
+    solved.set_result(None)
+    weaver._work = laser_weaver._Searched(SimpleNamespace(a="r1", b="r2"), 0.0, failed)
+    assert weaver._done() is laser_weaver._Searched
+    weaver._work = laser_weaver._Solving(0.0, solved)
+    assert weaver._done() is laser_weaver._Solving
+    assert weaver.failed == ["r1 and r2, tried on each other: TimeoutError: given up after 4 s"]

@@ -28,6 +28,7 @@ SEARCHED = 0.25  # the time without a search is at least so many times what the 
 DRAW_EVERY = 0.5  # [s]
 OVERDUE = 8.0  # [s] that solving and searching are put off for messages that wait
 ENDING = 1.0  # [s] that its thread is waited for
+MOST_FAILED = 100  # failures kept: what goes wrong as often goes wrong on
 PATIENCE = 0.5  # [s] until it is looked again whether to end
 
 
@@ -49,12 +50,13 @@ class _Solving(NamedTuple):
 class LaserWeaver:
     """A laser team as it is followed, from what the store holds up to where there is no gap.
 
-    newest: the last map, None before the first; failed: what failed since the last solution, empty when nothing did.
+    newest: the last map, None before the first; failed: what failed so far, each once and the first of many alone.
     """
 
     def __init__(self, store: Store, cfg: LaserConfig, every: float, starts: Starts = nobody) -> None:
         self.newest: WovenTeam | None = None
-        self.failed = self._died = ""
+        self.failed: list[str] = []
+        self._died = ""
         self._moved = time.monotonic()
         self._team = LiveLaserTeam(store, replace(cfg, method="graph", threads=1), starts)
         self._every = every
@@ -144,7 +146,8 @@ class LaserWeaver:
                 if self._work is None and time.monotonic() >= self._search_due + late:
                     self._search()
             except Exception as error:  # noqa: BLE001  (what fails is told; the thread goes on with what comes)
-                self.failed, followed, unsolved = in_words(error), heard, True
+                self._tell(in_words(error))
+                followed, unsolved = heard, True
                 self._weave_due = max(self._weave_due, time.monotonic() + self._every)
 
     def _taken(self) -> set[str]:
@@ -197,14 +200,17 @@ class LaserWeaver:
                 merge = work.merge.result()
             except Exception as error:  # noqa: BLE001  (no tie comes of it, and no harm to others)
                 merge = Merge(work.trial.a, work.trial.b, merged=False, reason=in_words(error))
-                self.failed = f"{merge.a} and {merge.b}, tried on each other: {merge.reason}"
+                self._tell(f"{merge.a} and {merge.b}, tried on each other: {merge.reason}")
             if {work.trial.a, work.trial.b} <= self._team.robots.keys():
                 self._team.search.decided(work.trial, merge)
             return _Searched
         self._weave_due = _rested(work.begin, self._every)
         self._team.take(work.woven.result())
-        self.failed = ""
         return _Solving
+
+    def _tell(self, why: str) -> None:
+        if why not in self.failed and len(self.failed) < MOST_FAILED:
+            self.failed.append(why)
 
     def _worked_in(self) -> int:
         return sum(robot.next for robot in self._team.robots.values())

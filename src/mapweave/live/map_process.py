@@ -478,8 +478,8 @@ class MapProcess:
                 self._anew[name] = ledger.anew
                 weaver.begin_again(name)
         weaver.hear(heard)
-        if weaver.failed:
-            self.finding(f"not woven: {weaver.failed}")
+        for why in weaver.failed[:]:
+            self.finding(f"not woven: {why}")
         if weaver.newest is None or weaver.newest is self._woven:
             return
         self._woven = weaver.newest
