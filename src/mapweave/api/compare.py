@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from ..core import se2
 from ..core.errors import DataError, UsageError
 from ..core.names import robot_name
-from ..core.paths import path_arguments, path_of
+from ..core.paths import checked_arguments, path_of
 from ..core.version import __version__
 from ..core.workers import Progress, no_progress, one_blas_thread
 from ..io.directory import check_target, result_directory, write_json
@@ -129,7 +129,7 @@ class Comparison(ResultBase):
         )  # fmt: skip
 
 
-@path_arguments
+@checked_arguments
 @one_blas_thread()
 def compare(
     before: Path | str | LaserResult,

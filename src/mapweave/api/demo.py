@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from ..core.paths import path_arguments
+from ..core.paths import checked_arguments
 from ..core.workers import Progress, no_progress
 from ..io.directory import check_target, result_directory
 from ..io.mrclam import write_mrclam
@@ -18,7 +18,7 @@ SHARE = {"2": 0.7, "4": 0.5}  # maps are unequal in practice
 FUSE_EVERY = 15.0  # [s]
 
 
-@path_arguments
+@checked_arguments
 def demo(
     out: Path | str = "mapweave-demo", *, seed: int = 2012, force: bool = False, on_progress: Progress = no_progress
 ) -> TeamResult:

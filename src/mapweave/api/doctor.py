@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
-from ..core.paths import path_arguments
+from ..core.paths import checked_arguments
 from ..core.plugins import KINDS, is_ours, plugged
 from ..core.version import __version__
 from ..io.directory import write_json
@@ -160,7 +160,7 @@ class Diagnosis(ResultBase):
 def doctor(subject: None = None) -> Diagnosis: ...
 @overload
 def doctor(subject: Path | str | MapResult | Log) -> Causes: ...
-@path_arguments
+@checked_arguments
 def doctor(subject: Path | str | MapResult | Log | None = None) -> Diagnosis | Causes:
     """Tell why a map is bent: the likeliest cause, its evidence, and what mends it.
 

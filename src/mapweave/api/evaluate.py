@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from ..core.errors import DataError, ReaderError, UsageError
 from ..core.names import in_order, robot_key, robot_name
-from ..core.paths import path_arguments
+from ..core.paths import checked_arguments
 from ..core.records import Track
 from ..core.truth import NO_SURVEY, Relations, Survey
 from ..core.workers import one_blas_thread
@@ -460,7 +460,7 @@ RULE = (
 )
 
 
-@path_arguments
+@checked_arguments
 @one_blas_thread()
 def evaluate(directory: Path | str | ResultBase, truth: Truths) -> Evaluation:
     """Score a result against what is true, by the rules that every table here is made with.

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from ..core.config import expect_positive, load
 from ..core.errors import ConfigError, UsageError
-from ..core.paths import AnyConfig, path_arguments
+from ..core.paths import AnyConfig, checked_arguments
 from ..core.workers import Progress, no_progress, one_blas_thread, worker_pool
 from ..exploration.landmarks.config import ExploreConfig, check_rasters, find_scenario, make_field
 from ..exploration.landmarks.experiment import (
@@ -329,7 +329,7 @@ class LandmarkExploration(ResultBase, ExploreResult):
         landmark_scene(self.first, self.mission.cfg).draw(target)
 
 
-@path_arguments
+@checked_arguments
 @one_blas_thread()
 def explore(
     scenario: Path | str = "yuan",

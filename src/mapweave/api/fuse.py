@@ -9,7 +9,7 @@ from ..core.config import load
 from ..core.errors import DataError, ReaderError, UsageError
 from ..core.findings import Finding
 from ..core.names import in_order, robot_name
-from ..core.paths import AnyConfig, path_arguments
+from ..core.paths import AnyConfig, checked_arguments
 from ..core.workers import Progress, no_progress, one_blas_thread
 from ..fusion.config import FuseConfig
 from ..fusion.join import fuse as join_maps
@@ -79,7 +79,7 @@ def _renamed_laser(local_map: LaserMap, robot: str) -> LaserMap:
     return replace(local_map, robot=robot, graph=graph)
 
 
-@path_arguments
+@checked_arguments
 @one_blas_thread()
 def fuse(
     directories: Path | str | TeamResult | LaserResult | Sequence[Path | str | TeamResult | LaserResult],

@@ -19,7 +19,7 @@ from ..core.findings import Finding, verdict
 from ..core.landmark_log import LandmarkLog
 from ..core.laser_log import LaserLog
 from ..core.names import in_order, robot_key
-from ..core.paths import AnyConfig, path_arguments
+from ..core.paths import AnyConfig, checked_arguments
 from ..core.version import __version__
 from ..core.workers import one_blas_thread
 from ..io.directory import check_target, write_json
@@ -110,7 +110,7 @@ INSECURE = Finding("network-open").text
 Say = Callable[[str], None]
 
 
-@path_arguments
+@checked_arguments
 @one_blas_thread()
 def live_robot(
     name: str,
@@ -271,7 +271,7 @@ def _driving(header: Header, settings: AnyConfig | None) -> LandmarkRobot | Lase
     return LaserRobot(header, cfg)
 
 
-@path_arguments
+@checked_arguments
 @one_blas_thread()
 def live_map(
     out: Path | str,
@@ -477,7 +477,7 @@ def _mapped(logs: Sequence[LandmarkLog | LaserLog], options: MapOptions) -> Live
 LOOK = 0.2  # [s] until it is looked again whether to stop
 
 
-@path_arguments
+@checked_arguments
 def live_robots(
     names: Sequence[str],
     patterns: Sequence[str] | None = None,
@@ -605,7 +605,7 @@ def live_view(
 LONGEST = 3650.0  # [days] what the authority itself serves
 
 
-@path_arguments
+@checked_arguments
 def live_keys(
     out: Path | str,
     *,

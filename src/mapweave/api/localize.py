@@ -13,7 +13,7 @@ from ..core.config import config as configuration
 from ..core.config import load
 from ..core.errors import ReaderError, UsageError
 from ..core.laser_log import LaserLog
-from ..core.paths import AnyConfig, is_path, path_arguments, path_of
+from ..core.paths import AnyConfig, checked_arguments, is_path, path_of
 from ..core.records import Scan, Track
 from ..core.run import robot_rng
 from ..core.version import __version__
@@ -247,7 +247,7 @@ class Localizer:
         return self._follower.doubt(self._follower.evidence())
 
 
-@path_arguments
+@checked_arguments
 @one_blas_thread()
 def localize(
     log: Path | str | LaserLog | Mapping[str, Any],

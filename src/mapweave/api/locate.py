@@ -13,7 +13,7 @@ from ..core.bearings import BearingTable
 from ..core.config import config as configuration
 from ..core.config import load
 from ..core.errors import DataError, UsageError
-from ..core.paths import AnyConfig, is_path, path_arguments, path_of
+from ..core.paths import AnyConfig, checked_arguments, is_path, path_of
 from ..core.records import Odometry
 from ..core.workers import Progress, no_progress, one_blas_thread
 from ..evaluation.swarm import StandingScore, score_moving, score_standing, scored_robots, true_places
@@ -86,7 +86,7 @@ class LocateConfig:
     )
 
 
-@path_arguments
+@checked_arguments
 @one_blas_thread()
 def locate(
     sightings: Path | str | BearingTable | Columns,

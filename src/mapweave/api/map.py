@@ -13,7 +13,7 @@ from ..core.errors import DataError, EstimateError, UsageError, VerdictError
 from ..core.findings import verdict_line
 from ..core.landmark_log import LandmarkLog
 from ..core.laser_log import LaserLog
-from ..core.paths import AnyConfig, kind_of, path_arguments, path_of
+from ..core.paths import AnyConfig, checked_arguments, kind_of, path_of
 from ..core.workers import Progress, no_progress, one_blas_thread
 from ..io.directory import check_target, result_directory
 from ..io.kept import kept_parts
@@ -114,7 +114,7 @@ MAPPERS: tuple[str, ...] = (
 )
 
 
-@path_arguments
+@checked_arguments
 @one_blas_thread()
 def map(  # noqa: A001  (the verb)
     logs: Path | str | LaserLog | Log | Sequence[Path | str | LaserLog | Log] | None = None,

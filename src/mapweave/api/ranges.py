@@ -11,7 +11,7 @@ import numpy as np
 from ..core.errors import DataError, EstimateError, UsageError
 from ..core.findings import Finding, Unused, Verdict, verdict, verdict_line
 from ..core.names import in_order, robot_key
-from ..core.paths import path_arguments
+from ..core.paths import checked_arguments
 from ..core.version import __version__
 from ..core.workers import one_blas_thread
 from ..io.directory import check_target, result_directory, write_json
@@ -180,7 +180,7 @@ class RangeResult(ResultBase):
         return replace(net, ranges=straight.select(np.flatnonzero(z > 0))), pose
 
 
-@path_arguments
+@checked_arguments
 @one_blas_thread()
 def solve_ranges(file: Path | str, out: Path | str | None = None, *, force: bool = False) -> RangeResult:
     """Place the robots and beacons of a graph of ranges, anybody's, from no guess.

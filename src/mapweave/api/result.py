@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast, overload, runtim
 
 from ..core.errors import ReaderError, UsageError
 from ..core.findings import Finding, Verdict
-from ..core.paths import path_arguments
+from ..core.paths import checked_arguments
 from ..core.version import __version__
 from ..io.directory import MARKERS, plain, read_json, result_file, write_json
 from ..io.saved_result import read_result
@@ -121,7 +121,7 @@ LATER = ("timing", "evaluation")  # what a metrics.json says of a run and of a s
 def load(folder: Path | str) -> Result: ...
 @overload
 def load(folder: Path | str, kind: type[R]) -> R: ...
-@path_arguments
+@checked_arguments
 def load(folder: Path | str, kind: type[R] | None = None) -> Result | R:
     """The result that a verb wrote into `folder`, as the verb returned it: to be drawn, scored, fused or written again.
 

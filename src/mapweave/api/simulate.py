@@ -10,7 +10,7 @@ import numpy as np
 from ..core import se2
 from ..core.errors import UsageError, expect_at_most
 from ..core.landmark_log import TeamRecording
-from ..core.paths import path_arguments, path_of
+from ..core.paths import checked_arguments, path_of
 from ..core.version import __version__
 from ..core.workers import one_blas_thread
 from ..io.directory import check_target, write_json
@@ -74,7 +74,7 @@ class SimulatedTeam(ResultBase, TeamRecording):
         write_json(folder / "simulation.json", self.metrics)
 
 
-@path_arguments
+@checked_arguments
 @one_blas_thread()
 def simulate_landmarks(
     out: Path | str | None = None,
@@ -186,7 +186,7 @@ class SimulatedDrive(ResultBase, LaserSimulation):
         self.write(folder / "drive.mcap")
 
 
-@path_arguments
+@checked_arguments
 @one_blas_thread()
 def simulate_laser(
     out: Path | str | None = None, world: World | None = None, *, fixes: float | None = None, seed: int = 0
@@ -323,7 +323,7 @@ class SimulatedSwarm(ResultBase, Swarm):
         self.write(folder / "swarm.csv")
 
 
-@path_arguments
+@checked_arguments
 @one_blas_thread()
 def simulate_swarm(out: Path | str | None = None, scene: SwarmScene | None = None, *, seed: int = 0) -> SimulatedSwarm:
     """Simulate a swarm of camera robots that measure bearings to each other.
@@ -464,7 +464,7 @@ class SimulatedMixedTeam(ResultBase, MixedRecording):
         write_json(folder / "simulation.json", self.metrics)
 
 
-@path_arguments
+@checked_arguments
 @one_blas_thread()
 def simulate_team(
     out: Path | str | None = None,

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from ..core.errors import EstimateError
 from ..core.gaussian import chi2_quantile
-from ..core.paths import is_path, path_arguments, path_of
+from ..core.paths import checked_arguments, is_path, path_of
 from ..core.records import Track
 from ..core.version import __version__
 from ..io.directory import check_target, result_directory, write_json
@@ -113,7 +113,7 @@ class SolveResult(ResultBase):
         write_solve_report(folder, self.source.name, self.file.graph.pose, self.solved, ids, self.lines())
 
 
-@path_arguments
+@checked_arguments
 def solve_pose_graph(
     file: Path | str | PoseGraph | Mapping[str, Any],
     out: Path | str | None = None,

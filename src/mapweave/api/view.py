@@ -21,7 +21,7 @@ import numpy as np
 from ..core import se2
 from ..core.errors import EstimateError, ReaderError, UsageError
 from ..core.names import robot_name
-from ..core.paths import path_arguments, path_of
+from ..core.paths import checked_arguments, path_of
 from ..core.rows import spread
 from ..core.workers import one_blas_thread
 from ..io.decisions import NAME, decisions_text, read_decisions
@@ -40,7 +40,7 @@ from .laser_result import LaserResult, woven_result
 from .result import load
 
 
-@path_arguments
+@checked_arguments
 def view(
     directory: Path | str | ResultBase, *, browser: bool = True, rerun: bool = False, save: Path | str | None = None
 ) -> list[str]:
@@ -114,7 +114,7 @@ Row = dict[str, Any]
 Say = Callable[[str], None]
 
 
-@path_arguments
+@checked_arguments
 def edit(
     directory: Path | str,
     *,

@@ -105,7 +105,7 @@ class _Expected:
         return isinstance(given, self.kinds) or (self.truth and kind_of(given) in TRUTHS)
 
 
-def path_arguments(verb: Callable[P, T]) -> Callable[P, T]:
+def checked_arguments(verb: Callable[P, T]) -> Callable[P, T]:
     """`verb` raises UsageError by the argument's name for what is of another kind than its annotation says.
 
     That is asked where the annotation is made of paths, text, numbers, mappings, sequences, functions, settings and

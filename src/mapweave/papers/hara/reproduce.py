@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from ...core.paths import path_arguments
+from ...core.paths import checked_arguments
 from ...core.version import __version__
 from ...core.workers import Progress, no_progress, one_blas_thread
 from ...io.directory import check_target
@@ -523,7 +523,7 @@ def _rms(errors: Float[np.ndarray, " s"]) -> float:
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
-@path_arguments
+@checked_arguments
 @one_blas_thread()
 @kept_parts()
 def reproduce_hara(

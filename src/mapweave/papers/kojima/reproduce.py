@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...core.paths import path_arguments
+from ...core.paths import checked_arguments
 from ...core.version import __version__
 from ...core.workers import Progress, no_progress, one_blas_thread
 from ...io.directory import check_target
@@ -421,7 +421,7 @@ class KojimaReproduction(Measured, Reproduction):
         }
 
 
-@path_arguments
+@checked_arguments
 @one_blas_thread()
 @kept_parts()
 def reproduce_kojima(

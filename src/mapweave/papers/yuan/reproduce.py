@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...core.paths import path_arguments
+from ...core.paths import checked_arguments
 from ...core.version import __version__
 from ...core.workers import Progress, no_progress, one_blas_thread, worker_pool
 from ...exploration.landmarks.experiment import LandmarkRunRecord, explore_once
@@ -588,7 +588,7 @@ def implied_error(c: float) -> float:
     return float(np.sqrt(c / np.pi) * np.sqrt(np.pi / 2))
 
 
-@path_arguments
+@checked_arguments
 @one_blas_thread()
 @kept_parts()
 def reproduce_yuan(
