@@ -1,5 +1,6 @@
 """What a page does in headless Chromium, where this machine has one."""
 
+import importlib.resources
 import json
 import re
 import shutil
@@ -28,3 +29,14 @@ def seen_in_browser(html: str, home: Path, width: int, *, dark: bool) -> Any:
     found = re.search(r'data-seen="([^"]*)"', done.stdout)
     assert found, "the page came to no end"
     return json.loads(found[1].replace("&quot;", '"'))
+
+
+def found_by_axe(html: str, home: Path, width: int, *, dark: bool) -> list[str]:
+    """What axe finds that keeps somebody from using the page: the rule, and the first element that breaks it."""
+    axe = (importlib.resources.files("axe_core_python") / "axe.min.js").read_text(encoding="utf-8")
+    asks = (
+        "window.addEventListener('load', () => axe.run().then((made) => { document.documentElement.dataset.seen = "
+        "JSON.stringify(made.violations.map((one) => [one.id, one.nodes[0].target.join(' ')].join(': '))); }));"
+    )
+    watched = html.replace("</body>", f"<script>{axe}</script><script>{asks}</script></body>")
+    return list(seen_in_browser(watched, home, width, dark=dark))

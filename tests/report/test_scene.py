@@ -13,12 +13,12 @@ from PIL import Image
 
 from mapweave.core.findings import Finding
 from mapweave.core.records import Track
-from mapweave.report.html import Page
+from mapweave.report.html import Page, list_files
 from mapweave.report.scene import KINDS, MOST_CELLS, MOST_POSES, Scene
 from mapweave.report.style import PALETTE
 from mapweave.report.team_figures import thinned
 
-from .browser import CHROMIUM, seen_in_browser
+from .browser import CHROMIUM, found_by_axe, seen_in_browser
 
 WATCH = """<script>
 window.errors = [];
@@ -310,6 +310,26 @@ def test_the_map_lives_in_a_browser(tmp_path, width, dark):
     assert re.fullmatch(r"\d+\.\d+ m, -?0\.0° from x", seen["length"])
     assert seen["marks"] == 5, "every layer of one look has its mark; walls have none"
     assert seen["figure"] == pytest.approx(min(924, max(0.8 * 924, seen["column"])), abs=2), "text stays readable"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+@pytest.mark.parametrize(("width", "dark"), [(500, False), (900, True), (1400, False)])
+def test_nothing_on_a_page_keeps_anybody_from_using_it(tmp_path, width, dark):
+    page = Page("Hall", "Two robots in a hall.")
+    page.cards([("robots", "2"), ("size", "9 x 3 m")], warnings=1)
+    page.scene(team(), "a hall", tmp_path / "hall.png")
+    page.warnings(["a scan was left out"])
+    page.section("Numbers")
+    page.table([f"a long name of column {k}" for k in range(9)], [range(9)] * 2, colours=PALETTE[:2])
+    Image.new("L", (924, 300)).save(tmp_path / "f.png")
+    page.figure(tmp_path / "f.png", "a figure")
+    (tmp_path / "metrics.json").write_text("{}")
+    page.write(tmp_path / "report.html")
+    list_files(tmp_path)
+    html = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "metrics.json" in html
+    assert found_by_axe(html, tmp_path, width, dark=dark) == []
 
 
 DARKENED = """<script>

@@ -67,6 +67,7 @@ HOLDS = {
     "world": "where each robot went in the world that fixes are told in, covariances beside",
 }
 _OPEN = "<details open>"  # of a figure
+_TABLE = '<table tabindex="0">'  # which the keyboard too moves aside, where it is wider than the page
 _NUMBER = re.compile(r"[-+−±]?\.?\d")
 # On a dark screen paper becomes dark and ink light, and colours stay what they are: the grey of a pixel is turned where
 # it is near white or black, its difference to that grey is kept.
@@ -123,7 +124,7 @@ class Page:
         for row, mark in zip(cells, marks, strict=True):
             data = [f"<td{kind}>{escape(text)}</td>" for text, kind in zip(row, kinds, strict=False)]
             body += f"<tr>{''.join(data).replace('>', f'>{mark}', 1)}</tr>"
-        self.parts.append(f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>")
+        self.parts.append(f"{_TABLE}<thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>")
 
     def figure(self, png: Path, caption: str, draw: Callable[..., object] | None = None, *what: object) -> None:
         """A PNG or GIF, inside the page; on a narrow screen it keeps a size at which it can be read, and moves aside.
@@ -187,9 +188,9 @@ class Page:
         return (
             '<!doctype html><html lang="en"><head><meta charset="utf-8">'
             '<meta name="viewport" content="width=device-width,initial-scale=1">'
-            f"<title>{escape(self.title)}</title><style>{_style()}</style></head><body>{_DARK}<h1>{escape(self.title)}</h1>"
+            f"<title>{escape(self.title)}</title><style>{_style()}</style></head><body>{_DARK}<main><h1>{escape(self.title)}</h1>"
             f'<p class="lead">{escape(self.lead)}</p>{body}'
-            f"<footer>mapweave {escape(__version__)}</footer>{moving}</body></html>\n"
+            f"<footer>mapweave {escape(__version__)}</footer></main>{moving}</body></html>\n"
         )
 
     def write(self, path: Path) -> None:
@@ -215,7 +216,7 @@ def _picture(png: Path, caption: str) -> str:
     with Image.open(png) as image:
         wide, high = image.size
     size = f'width="{wide}" height="{high}" style="--wide:{wide}px"'
-    return f'<div class="wide"><img alt="{escape(caption, quote=True)}" {size} src="{_inside(png)}"></div>'
+    return f'<div class="wide" tabindex="0"><img alt="{escape(caption, quote=True)}" {size} src="{_inside(png)}"></div>'
 
 
 def _inside(image: Path) -> str:
@@ -270,7 +271,7 @@ def list_files(folder: Path) -> None:
         name = f"{path.name}/" if path.is_dir() else path.name
         link = f'<a href="{quote(name)}">{escape(name)}</a>'
         rows.append(f'<tr><td>{link}</td><td class="text">{escape(HOLDS.get(path.name, ""))}</td></tr>')
-    page.parts.append(f"<table><tbody>{''.join(rows)}</tbody></table>")
+    page.parts.append(f"{_TABLE}<tbody>{''.join(rows)}</tbody></table>")
     text = page.put_into(report.read_text(encoding="utf-8", errors="replace"), "files")
     with result_file(report) as work:
         work.write_text(text, encoding="utf-8", errors="backslashreplace")
