@@ -42,6 +42,20 @@ def test_the_conda_recipe_agrees_with_the_package():
     assert recipe["about"]["license"] == project["license"]
 
 
+def test_nothing_in_the_description_of_a_wheel_leads_into_the_repository():
+    spec = importlib.util.spec_from_file_location("hatch_build", TOP / "hatch_build.py")
+    hook = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(hook)
+    metadata = {}
+    hook.LongDescription(str(TOP), {}).update(metadata)
+    text, readme = metadata["readme"]["text"], (TOP / "README.md").read_text(encoding="utf-8")
+    assert [place for place in re.findall(r"\]\(([^)]*)\)", text) if not place.startswith("http")] == []
+    assert "<!--" not in text
+    assert re.findall(r"^#+ .*$", text, re.MULTILINE) == re.findall(r"^#+ .*$", readme, re.MULTILINE)
+    assert "read more" in text
+    assert "| [live]" not in text
+
+
 @pytest.fixture
 def setup_told(monkeypatch):
     """What `setup.py` tells setuptools."""
