@@ -117,7 +117,7 @@ GALLERY = (
 )
 
 OTHERS = (  # of other pages, which print the commands where they are told
-    Picture("demo", "README.md", "", "mapweave-demo/figures/fused_map.png", ("mapweave demo",)),
+    Picture("demo", "docs/getting-started.md", "", "mapweave-demo/figures/fused_map.png", ("mapweave demo",)),
     Picture(
         "locate-network",
         "docs/locate.md",

@@ -1,6 +1,7 @@
 """`benchmarks/lint.py` finds what it looks for; its neighbours draw light pictures and let long names be broken."""
 
 import importlib.util
+import re
 from pathlib import Path
 
 import gallery
@@ -66,3 +67,14 @@ def test_a_long_name_may_go_on_in_the_next_line_and_is_otherwise_as_it_was():
     context = {"body": page.format("solve/multifrontal_of.py")}
     conf.breakable(None, "", "", context, None)
     assert context["body"] == page.format("solve/<wbr>multifrontal_<wbr>of.py")
+
+
+def test_the_first_picture_of_readme_and_docs_is_a_film_that_is_light_and_ends():
+    film = TOP / "docs" / "images" / "together.gif"
+    for page in ("README.md", "docs/index.md"):
+        (first, *_) = re.findall(r"!\[[^\]]*\]\(([^)]*)\)", (TOP / page).read_text(encoding="utf-8"))
+        assert (TOP / page).parent / first == film
+    assert film.stat().st_size < 1.5e6
+    with Image.open(film) as image:
+        assert image.n_frames > 10
+        assert image.info["loop"] > 0, "what moves without an end is not to be read beside"
