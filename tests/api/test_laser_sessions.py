@@ -16,6 +16,7 @@ from mapweave.core.errors import ConfigError, DataError, MapweaveError, ReaderEr
 from mapweave.io.npz import read_arrays, write_arrays
 
 from ..laser.team_logs import cut, office
+from .test_laser_slam import fed, tables
 
 pytestmark = pytest.mark.usefixtures("_remembered")
 
@@ -43,6 +44,24 @@ def test_a_second_session_gives_the_bytes_of_one_run_of_both_logs(sessions):
     assert one[0].keys() == both[0].keys()
     assert [name for name in one[0] if one[0][name] != both[0][name]] == []
     assert one[1]["components"] == [["1", "2"]]
+
+
+def test_scans_that_come_one_by_one_go_on_from_a_saved_map_as_their_log_does(sessions, logs, tmp_path):
+    slam = mapweave.LaserSlam(resume=sessions / "first")
+    assert slam.robot == "2"
+    fed(slam, logs[1]).save(tmp_path / "slam")
+    scans, odometry = tables(logs[1])
+    mapweave.map(scans=scans, odometry=odometry, out=tmp_path / "map", laser=LaserOptions(resume=sessions / "first"))
+    for name in ("map.pgm", "closures.csv", "trajectories/robot1.tum", "trajectories/robot2.tum", "pose_graph.g2o"):
+        assert (tmp_path / "slam" / name).read_bytes() == (tmp_path / "map" / name).read_bytes(), name
+    assert mapweave.load(tmp_path / "slam").metrics["components"] == [["1", "2"]]
+    with pytest.raises(DataError, match=r"are in .*first already, as robot1"):
+        fed(mapweave.LaserSlam(resume=sessions / "first"), logs[0]).result()
+    with pytest.raises(DataError, match=r"these scans go on as '2' there: expected robot='2'"):
+        fed(mapweave.LaserSlam(robot="1", resume=sessions / "first"), cut(logs[1], 0, 5)).result()
+    assert mapweave.LaserSlam(resume=sessions / "first" / "map.yaml").robot == "1"
+    with pytest.raises(ReaderError, match="nowhere"):
+        mapweave.LaserSlam(resume=tmp_path / "nowhere")
 
 
 def stopped_after(log, n):

@@ -63,10 +63,7 @@ def map_logs(logs: Sequence[Path | LaserLog], options: MapOptions) -> LaserResul
 
 def _going_on(before: Path, logs: Sequence[Path | LaserLog], options: MapOptions) -> LaserResult:
     """The result in `before` with further logs: what one run of all logs would have given."""
-    walls = before.suffix.lower() in YAML_SUFFIXES and not before.is_dir()
-    state = (
-        LaserState((known_map(read_ros_map(before).grid(), str(before)),), {}) if walls else read_laser_states(before)
-    )
+    state = state_before(before)
     cfg = _configured(options)
     if cfg.method != "graph":
         raise UsageError(f"--resume: goes on with --method graph, found {cfg.method}")
@@ -82,6 +79,13 @@ def _going_on(before: Path, logs: Sequence[Path | LaserLog], options: MapOptions
     idle = _of_recordings(logs, options)
     maps = resumption.maps([_with_idle_options(local_map, options, idle) for local_map in made])
     return _woven(maps, cfg, options, {**state.starts, **options.starts()}, resumption.notes)
+
+
+def state_before(before: Path) -> LaserState:
+    """What further logs are added to: a finished result, or the walls of a `map.yaml`."""
+    if before.suffix.lower() in YAML_SUFFIXES and not before.is_dir():
+        return LaserState((known_map(read_ros_map(before).grid(), str(before)),), {})
+    return read_laser_states(before)
 
 
 def _woven(

@@ -13,6 +13,7 @@ from ..core.records import Event, Odometry, Sightings
 from ..core.run import Runner
 from ..core.se2 import wrap_angle
 from ..core.workers import Progress, no_progress, one_blas_thread
+from ..io.laser_state import LaserState
 from ..io.laser_stream import NOWHERE, LaserStream, Numbers
 from ..landmarks import ekf_slam
 from ..landmarks.ekf_slam import EkfSlamState
@@ -25,9 +26,9 @@ from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import PoseEstimate
 from ..mapping.laser_mapping import choose_feature, map_laser, map_session, with_calibrated_wheels
 from ..mapping.session import LaserSession
-from .laser_result import LaserResult
+from .laser_result import LaserResult, woven_result
 from .map_landmarks import LandmarkMapConfig, map_tables
-from .map_laser import LaserMapConfig, result_of
+from .map_laser import LaserMapConfig, next_robots, result_of, resumed, state_before
 from .map_options import MapOptions
 from .team import TeamResult
 
@@ -179,14 +180,17 @@ class LaserSlam:
     calibration
         Of this scanner's intensity, where it is known (from the log).
     robot
-        The robot's key: `"2"` is robot 2.
+        The robot's key: `"2"` is robot 2 (`"1"`, with `resume` the next after those there).
+    resume
+        A saved result of the graph method, or a `map.yaml` of known walls, to go on from: `result` is what `map` with
+        this `resume` makes of the same scans. Poses stay in the frame of the first scan until then.
     seed
         Of everything drawn at random (0).
 
     Raises
     ------
     ConfigError
-        For settings that cannot be.
+        For settings that cannot be; ReaderError for a `resume` that is no such result.
 
     Examples
     --------
@@ -203,13 +207,17 @@ class LaserSlam:
         config: AnyConfig | None = None,
         *,
         calibration: IntensityCalibration | None = None,
-        robot: str = "1",
+        robot: str | None = None,
+        resume: Path | str | None = None,
         seed: int = 0,
     ) -> None:
         cfg = load(LaserMapConfig, config).laser
         cfg.check()
         if cfg.method != "graph":
             raise ConfigError(f"method: expected graph for scans that come one by one, found {cfg.method}")
+        self._resume = None if resume is None else Path(resume)
+        self._before = LaserState((), {}) if self._resume is None else state_before(self._resume)
+        robot = next_robots([there.robot for there in self._before.maps], 1)[0] if robot is None else robot
         self.cfg, self.robot, self.seed = cfg, robot, seed
         self._calibrated = calibration is not None and cfg.feature != "none"
         feature = Feature("normalised", calibration) if self._calibrated else GEOMETRY
@@ -300,16 +308,23 @@ class LaserSlam:
     def result(self, on_progress: Progress = no_progress) -> LaserResult:
         """What `map` gives of these scans, the last pass over everything made.
 
-        Raises DataError before the first scan.
+        Raises DataError before the first scan, and where these scans are in the result that was to go on already.
         """
         log = self._stream.log()
+        there = None if self._resume is None else resumed(self._resume, self._before, [log])
+        if there is not None and there.robots != (self.robot,):
+            own = there.robots[0]
+            raise DataError(f"{self._resume}: these scans go on as {own!r} there: expected robot={own!r} to begin with")
         feature = self._session.feature if self._calibrated else choose_feature(log, self.cfg)
         if feature.name == self._session.feature.name:
             local_map = map_session(self._session, log, feature, {"estimate": self._spent}, on_progress)
             local_map = with_calibrated_wheels(log, self.cfg, self.seed, local_map, on_progress)
         else:
             local_map = map_laser(log, self.cfg, self.seed, on_progress)
-        return result_of([local_map], self.cfg, seed=self.seed)
+        if there is None:
+            return result_of([local_map], self.cfg, seed=self.seed)
+        maps, starts = there.maps([local_map]), self._before.starts
+        return woven_result(maps, self.cfg, seed=self.seed, starts=starts, notes=there.notes, on_progress=on_progress)
 
     def save(self, folder: Path | str, *, force: bool = False) -> LaserResult:
         """`result`, written to a folder as `map` writes it: `localize`, `fuse`, `evaluate` and `view` read it.
