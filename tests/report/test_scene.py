@@ -165,6 +165,25 @@ def test_long_trajectories_are_thinned_and_keep_their_ends():
     assert (x[0], x[-1]) == (0.0, n - 1.0)
 
 
+def test_a_page_of_many_robots_many_hours_and_many_places_stays_small_and_says_so():
+    n, robots, places = 5000, 200, 50_000
+    track = Track(np.arange(float(n)), np.zeros((n, 3)), np.tile(np.eye(3), (n, 1, 1)))
+    ends = np.linspace(0.0, 1.0, 4 * places).reshape(-1, 4)
+    scene = Scene("long")
+    for k in range(robots):
+        scene.track("robots", f"robot {k}", track, "#000")
+    scene.lines("places believed", ends, "#000", [f"robot {k}, and so on" for k in range(places)])
+    page = scene.html("A year.")
+    assert len(page) < 10e6
+    assert "Shown: 40,000 of 1,000,000 poses, 40,000 of 50,000 places believed." in page
+    held = data(scene)
+    assert {(t["t"][0], t["t"][-1], len(t["t"]), len(t["ellipses"])) for t in held["tracks"]} == {(0, n - 1, 200, 200)}
+    (line,) = held["lines"]
+    assert len(line["segments"]) == len(line["texts"]) == 40_000
+    assert line["texts"][-1] == f"robot {places - 1}, and so on"
+    assert "Shown" not in team().html("Two robots.")
+
+
 def test_no_line_goes_through_a_time_of_which_nothing_is_known():
     t = np.concatenate([np.arange(0.0, 1000.0, 0.5), np.arange(1400.0, 1402.0, 0.5)])
     pose = np.column_stack([t, np.zeros_like(t), np.zeros_like(t)])

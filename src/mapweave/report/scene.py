@@ -31,6 +31,7 @@ from ..team.team_map import TeamMap
 from .style import LANDMARK, SEQUENTIAL, Axes, Target, as_map, figure, gaps, larger, legend_beside, name_points
 
 MOST_POSES = 800  # of a trajectory: enough to draw it and to point at
+MOST_OF_ALL = 40_000  # poses of all trajectories of a page, and lines of a layer: about 3 MB of either
 MOST_CELLS = 1600  # along the longer side of a grid: finer cells are joined, a wall stays a wall
 MOST_CORNERS = 4000  # of a path that nobody drives
 FOUND = "#B25400"  # of findings, seen on white and on black
@@ -67,6 +68,7 @@ class Scene:
     _tracks: list[dict[str, Any]] = field(default_factory=list)
     _points: list[dict[str, Any]] = field(default_factory=list)
     _lines: list[dict[str, Any]] = field(default_factory=list)
+    _poses: int = 0  # that all trajectories had
     _corners: list[tuple[str, Float[np.ndarray, "n 2"]]] = field(default_factory=list)  # with their layer
 
     def grid(
@@ -116,8 +118,9 @@ class Scene:
         n = len(track.t)
         if n == 0:
             return
-        at = np.unique(np.linspace(0, n - 1, min(n, MOST_POSES)).astype(int))
+        at = _spread(n, MOST_POSES)
         pose = track.pose[at]
+        self._poses += n
         broken = np.unique(np.searchsorted(at, gaps(track.t)))
         self._tracks.append({
             "layer": layer, "name": name, "colour": colour, "t": _short(track.t[at], 2),
@@ -191,12 +194,22 @@ class Scene:
         return np.stack([corners.min(axis=0), corners.max(axis=0)], axis=1).ravel()
 
     def data(self) -> Mapping[str, object]:
-        """What the script draws."""
+        """What the script draws: of many trajectories fewer poses each, of very many lines a part, spread evenly."""
+        driven = sum(len(track["t"]) > 0 for track in self._tracks)
+        tracks = [_fewer_poses(track, MOST_OF_ALL // driven) if track["t"] else track for track in self._tracks]
         return {
             "label": self.label, "hidden": self.hidden, "axes": self.axes, "clock": self.clock,
             "extent": _short(self._extent(self.hidden)), "grid": self._grid,
-            "tracks": self._tracks, "points": self._points, "lines": self._lines,
+            "tracks": tracks, "points": self._points, "lines": [_fewer_lines(one) for one in self._lines],
         }  # fmt: skip
+
+    def _left_out(self, data: Mapping[str, Any]) -> str:
+        """In words, how much of what there is stands on the page, where that is not all."""
+        counts = [("poses", sum(len(track["t"]) for track in data["tracks"]), self._poses)]
+        pairs = zip(data["lines"], self._lines, strict=True)
+        counts += [(line["layer"], len(line["segments"]), len(whole["segments"])) for line, whole in pairs]
+        told = [f"{shown:,} of {there:,} {name}" for name, shown, there in counts if shown < there]
+        return f" Shown: {', '.join(told)}." if told else ""
 
     def draw(self, target: Target, *beside: "Scene", hidden: Sequence[str] | None = None) -> None:
         """The scene as a picture, at its last moment, and others beside it; hidden: in place of their own."""
@@ -262,15 +275,35 @@ class Scene:
 
     def html(self, caption: str, still: str = "") -> str:
         """A figure for a page that has the script at its end; `still`: what shows where no script runs."""
-        data = json.dumps(self.data(), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+        held = self.data()
+        data = json.dumps(held, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
         how = (
             "Drag to move; click, then wheel or + and − to zoom, 0 for all, m to measure, f for the whole screen; "
             "point at a thing to read what it is."
         )
         return (
             f'<figure class="scene"><div class="still">{still}</div><script type="application/json">{data}</script>'
-            f"<figcaption>{escape(caption)} <span>{how}</span></figcaption></figure>"
+            f"<figcaption>{escape(caption + self._left_out(held))} <span>{how}</span></figcaption></figure>"
         )
+
+
+def _spread(n: int, most: int) -> Int[np.ndarray, " m"]:
+    """Places of `n` things, `most` at most, evenly apart, the first and the last among them."""
+    return np.unique(np.linspace(0, n - 1, min(n, max(most, 2))).astype(int))
+
+
+def _fewer_poses(track: dict[str, Any], most: int) -> dict[str, Any]:
+    at = _spread(len(track["t"]), most)
+    columns = {name: [track[name][i] for i in at] for name in ("t", "x", "y", "theta", "ellipses") if track[name]}
+    return {**track, **columns, "gaps": np.unique(np.searchsorted(at, np.array(track["gaps"], int))).tolist()}
+
+
+def _fewer_lines(line: dict[str, Any]) -> dict[str, Any]:
+    """An editor's are left whole: each can be decided on."""
+    if line.get("ids") or len(line["segments"]) <= MOST_OF_ALL:
+        return line
+    at = _spread(len(line["segments"]), MOST_OF_ALL)
+    return {**line, **{name: [line[name][i] for i in at] for name in ("segments", "texts") if line[name]}}
 
 
 def _widen(ax: Axes, low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"]) -> None:
