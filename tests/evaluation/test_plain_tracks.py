@@ -1,5 +1,7 @@
 """Two TUM files are scored as evo scores them."""
 
+import json
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -64,6 +66,7 @@ def test_ape_and_rpe_are_those_of_the_formulas(tracks):
         assert score[name]["std"] == pytest.approx(e.std(), abs=near)
         assert (score[name]["median"], score[name]["max"]) == pytest.approx((np.median(e), e.max()), abs=near)
     assert score["ape_aligned"]["rmse"] < 0.3 < score["ape"]["rmse"]
+    assert json.loads(json.dumps(score)) == score
 
 
 def test_the_numbers_are_those_of_evo(tracks):

@@ -29,7 +29,7 @@ from ..evaluation.trajectory import (
     score_relations,
     score_tracks,
 )
-from ..io.directory import read_json
+from ..io.directory import plain, read_json
 from ..io.landmark_truth import TABLE, read_robot_truth, read_survey
 from ..io.positions import Positions, read_network, read_positions, read_track, track_files
 from ..io.pyfg import is_pyfg, read_pyfg
@@ -69,7 +69,7 @@ class TrackEvaluation(EvaluationBase):
             draw_tracks(target, self.estimate, self.truth, self.score.T_truth_estimate)
 
     def as_json(self) -> dict[str, Any]:
-        return {} if self.score is None else asdict(self.score)
+        return {} if self.score is None else dict(plain(asdict(self.score)))
 
     def lines(self) -> list[str]:
         if self.score is None:
