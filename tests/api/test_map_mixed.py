@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import mapweave
-from mapweave.core.errors import DataError, ReaderError, UsageError
+from mapweave.core.errors import DataError, MapweaveError, ReaderError, UsageError
 from mapweave.io.laser_logs import LaserSource, read_laser
 from mapweave.io.laser_map import read_grid
 from mapweave.io.mcap import write_mcap
@@ -150,6 +150,13 @@ def test_what_cannot_be_is_refused_with_the_reason(team, tmp_path):
     shutil.copy(team / "robot1.mcap", twice)
     with pytest.raises(DataError, match="robot1 has the laser log"):
         mapweave.map([team, twice])
+
+
+def test_a_mixed_team_is_not_fused_and_is_called_what_it_is(made):
+    result, folder = made
+    for given in (folder, [result, result]):
+        with pytest.raises(MapweaveError, match="expected a result of laser logs, found one of a mixed team"):
+            mapweave.fuse(given)
 
 
 def test_one_kind_of_log_is_no_mixed_team(team):

@@ -156,9 +156,10 @@ def why_no_state(folder: Path) -> str:
     """What a folder without state is, and what to do."""
     if not (folder / "metrics.json").is_file():
         return "expected a result of `mapweave map`, found no metrics.json"
+    scanned = any((folder / "local").rglob(GRID))
     if (folder / "landmarks.csv").is_file() or any((folder / "local").rglob("local_map.json")):
-        return "expected a result of laser logs, found one of landmarks"
-    if any((folder / "local").rglob(GRID)):
+        return f"expected a result of laser logs, found one of {'a mixed team' if scanned else 'landmarks'}"
+    if scanned:
         return f"the method that made it keeps no graph of keyframes: {AGAIN}"
     return "expected a result of laser logs, found something else"
 
