@@ -60,6 +60,8 @@ def test_scans_that_come_one_by_one_go_on_from_a_saved_map_as_their_log_does(ses
     with pytest.raises(DataError, match=r"these scans go on as '2' there: expected robot='2'"):
         fed(mapweave.LaserSlam(robot="1", resume=sessions / "first"), cut(logs[1], 0, 5)).result()
     assert mapweave.LaserSlam(resume=sessions / "first" / "map.yaml").robot == "1"
+    with pytest.raises(UsageError, match="resume: expected a path, found int"):
+        mapweave.LaserSlam(resume=3)
     with pytest.raises(ReaderError, match="nowhere"):
         mapweave.LaserSlam(resume=tmp_path / "nowhere")
 

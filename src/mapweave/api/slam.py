@@ -8,7 +8,7 @@ import numpy as np
 from ..core.config import load
 from ..core.errors import ConfigError, DataError, EstimateError, UsageError
 from ..core.names import robot_key, robot_name
-from ..core.paths import AnyConfig
+from ..core.paths import AnyConfig, checked_arguments
 from ..core.records import Event, Odometry, Sightings
 from ..core.run import Runner
 from ..core.se2 import wrap_angle
@@ -202,6 +202,7 @@ class LaserSlam:
     [4, 0]
     """
 
+    @checked_arguments
     def __init__(
         self,
         config: AnyConfig | None = None,
