@@ -1,11 +1,14 @@
 """Recipes: every example as a page of the documentation, with what it prints and the picture of its result.
 
 `python benchmarks/recipes.py [--only NAME]` runs the examples and writes `docs/recipes/`. That a page holds the code of
-its script is checked by `benchmarks/lint.py`, that it prints what the page says by `tests/test_examples.py`.
+its script is checked by `benchmarks/lint.py`, that it prints what the page says by `tests/test_examples.py`. Each runs
+with an empty cache of compiled code, again, so that its page tells both times, and once more to draw.
 """
 
 import argparse
+import os
 import re
+import resource
 import runpy
 import subprocess
 import sys
@@ -21,14 +24,14 @@ from mapweave import __version__
 
 TOP = Path(__file__).resolve().parent.parent
 PAGES = TOP / "docs" / "recipes"
-RUN = """
-import runpy, sys
-made = runpy.run_path(sys.argv[1], run_name="__main__")
+DRAW = """
+import sys
 from mapweave.report.result import ResultBase
 results = [value for value in made.values() if isinstance(value, ResultBase)]
 if results:
     results[-1].plot().savefig(sys.argv[2], dpi=90, bbox_inches="tight")
 """
+RUN = "import runpy, sys; made = runpy.run_path(sys.argv[1], run_name='__main__')"
 PRINTED = "It prints\n\n```\n"
 
 MADE = runpy.run_path(str(TOP / "examples" / "make_notebooks.py"))
@@ -46,7 +49,7 @@ def told(script: Path) -> str:
 
 def body(script: Path) -> str:
     """The page down to what the script prints: the same for the same script."""
-    out = [f"# {title(script)}", told(script)]
+    out = [f"# {title(script)}", told(script), f"{{download}}`As a notebook <notebooks/{script.stem}.ipynb>`"]
     for kind, group in groupby(cells(script.read_text(encoding="utf-8"))[1:], lambda cell: cell["cell_type"]):
         text = "\n\n".join(cell["source"] for cell in group)
         out.append(text if kind == "markdown" else f"```python\n{text}\n```")
@@ -65,7 +68,10 @@ def printed(page: str) -> list[str]:
 def index() -> str:
     """The page that lists all others."""
     out = ["# Recipes", "", "One job a page: a short script, what it prints and what it draws. The scripts are in the"]
-    out += ["folder `examples`; `python examples/make_notebooks.py` makes notebooks of them.", ""]
+    out += [
+        "folder `examples`; `python examples/make_notebooks.py` makes notebooks of them, which the pages link to.",
+        "",
+    ]
     out += [f"- [{title(script)}]({page_of(script).name})" for script in scripts()]
     return "\n".join([*out, "", "```{toctree}", ":hidden:", "", *(page_of(s).stem for s in scripts()), "```", ""])
 
@@ -80,19 +86,32 @@ def stale() -> Iterator[str]:
         yield "docs/recipes/index.md: not of the examples: python benchmarks/recipes.py"
 
 
+def run(script: Path, home: Path, more: str = "") -> tuple[str, float]:
+    """What the script says, and the processor time [s] it takes, all its processes together."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    words = [sys.executable, "-c", RUN + more, str(script), str(home / "picture.png")]
+    environment = {**os.environ, "MAPWEAVE_CACHE_DIR": str(home / "cache")}
+    said = subprocess.run(words, cwd=home, env=environment, check=True, capture_output=True, text=True).stdout
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return said, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
 def write(script: Path) -> None:
-    """Runs the script and writes its page and its picture."""
+    """Runs the script, with nothing compiled and again, and writes its page and its picture."""
     picture = PAGES / "images" / f"{page_of(script).stem}.png"
     with tempfile.TemporaryDirectory() as folder:
-        drawn = Path(folder) / "picture.png"
-        words = [sys.executable, "-c", RUN, str(script), str(drawn)]
-        said = subprocess.run(words, cwd=folder, check=True, capture_output=True, text=True).stdout
-        if drawn.exists():
-            lighten(drawn, picture)
+        home = Path(folder)
+        said, first = run(script, home)
+        _, later = run(script, home)
+        run(script, home, DRAW)
+        if (home / "picture.png").exists():
+            lighten(home / "picture.png", picture)
     out = [f"{body(script)}{PRINTED}{said}```", ""]
     if picture.exists():
         out += [f"![{title(script)}](images/{picture.name})", ""]
-    out += [f"`examples/{script.name}`, run {datetime.now(UTC):%Y-%m-%d} with `mapweave {__version__}`.", ""]
+    out += [f"| `examples/{script.name}` | processor time [s] |", "| --- | ---: |"]
+    out += [f"| first run, which compiles | {first:.0f} |", f"| later runs | {later:.0f} |", ""]
+    out += [f"Run {datetime.now(UTC):%Y-%m-%d} with `mapweave {__version__}` by `python benchmarks/recipes.py`.", ""]
     page_of(script).write_text("\n".join(out), encoding="utf-8")
 
 

@@ -1,6 +1,7 @@
 """The documentation: Markdown pages, the reference out of the docstrings, formulas as MathML that shows offline."""
 
 import re
+import runpy
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ source_suffix = {".md": "markdown"}
 root_doc = "index"
 exclude_patterns = ["_build"]
 html_theme = "furo"
-html_title = "mapweave"
+html_title = f"mapweave {release}"  # the pages of several releases may stand side by side
 html_theme_options = {"navigation_with_keys": True}
 html_static_path = ["static"]
 html_css_files = ["site.css"]
@@ -119,4 +120,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     text = reference()
     if not page.exists() or page.read_text(encoding="utf-8") != text:
         page.write_text(text, encoding="utf-8")
+    here = Path(app.srcdir)
+    make = runpy.run_path(str(here.parent / "examples" / "make_notebooks.py"))["main"]
+    make(here / "recipes" / "notebooks")
     return {"parallel_read_safe": True}

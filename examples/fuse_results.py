@@ -25,6 +25,5 @@ with TemporaryDirectory() as folder:
     print(f"landmark RMSE {score['landmark_rmse']:.3f} m")
 
     # Names alone are no proof: each decision tells its reason.
-    mixed = mapweave.fuse([home / "day1", home / "elsewhere"]).fusion
-    for decision in mixed.decisions:
-        print(f"{decision.robot}: {decision.decision}, {decision.reason}")
+    for robot in mapweave.fuse([home / "day1", home / "elsewhere"]).metrics["fusion"]:
+        print(f"{robot['robot']}: {robot['decision']}, {robot['reason']}")

@@ -28,7 +28,7 @@ centres = grid.origin + grid.resolution * (np.argwhere(free)[:, ::-1] + 0.5)
 way = made.track.pose[:, :2]
 far = way[np.argmax(np.hypot(*(way - way[0]).T))]
 start, goal = (int(np.argmin(np.hypot(*(centres - place).T))) for place in (way[0], far))
-distance, before = dijkstra(graph, directed=False, indices=start, return_predecessors=True)
+[distance], [before] = dijkstra(graph, directed=False, indices=[start], return_predecessors=True)
 path = [goal]
 while path[-1] != start:
     path.append(int(before[path[-1]]))

@@ -15,6 +15,7 @@ scans = {
     "intensities": np.array([scan.intensities for scan in log.scans]),  # (m, n), optional
     "range_max": log.scans[0].range_max,  # [m], optional
 }
+assert log.odometry is not None  # a simulated robot has wheels
 poses = log.odometry.pose
 odometry = {"t": log.odometry.t, "x": poses[:, 0], "y": poses[:, 1], "theta": poses[:, 2]}
 

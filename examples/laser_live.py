@@ -1,6 +1,7 @@
 """A laser map while the robot drives: every scan gives the pose and how sure it is."""
 
 import tempfile
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -9,7 +10,7 @@ import mapweave
 
 # Your driver stands here: anything that yields a stamp, ranges, and where the wheels say the robot is. This one plays a
 # simulated drive of twelve metres.
-def driver():
+def driver() -> Iterator[tuple[float, np.ndarray, np.ndarray, np.ndarray | None]]:
     drive = mapweave.simulate_laser(world=mapweave.CorridorConfig(distance=12.0), seed=1)
     for t, scan in zip(drive.log.scan_t, drive.log.scans, strict=True):
         yield t, np.where(scan.hit, scan.ranges, np.inf), scan.angles(), scan.odometry

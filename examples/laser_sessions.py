@@ -2,6 +2,7 @@
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,7 @@ import mapweave
 log = mapweave.simulate_laser(world=mapweave.OfficeConfig(rooms=3, visited=4), seed=3).log
 
 
-def tables(some):
+def tables(some: slice) -> tuple[dict[str, Any], dict[str, Any]]:
     """The scans of a slice, and their odometry, as arrays."""
     own = [scan.odometry for scan in log.scans[some]]
     x, y, theta = np.array(own).T
@@ -32,6 +33,7 @@ with TemporaryDirectory() as folder:
     both = mapweave.map(scans=tuesday, odometry=more_wheels, laser=mapweave.LaserOptions(resume=first))
 
 print(both.summary())
+assert isinstance(both, mapweave.LaserResult)
 for merge in both.merges:
     print(f"robot {merge.a} and robot {merge.b}: {merge.reason}")
 for made in both.components:

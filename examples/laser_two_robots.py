@@ -9,11 +9,11 @@ from mapweave.sim.laser import DriveConfig, Scanner, WallStyle, WorldBuilder, dr
 
 # Drivers stand here: two simulated robots in one flat, rooms below and above a corridor, each room of its own size.
 flat = WorldBuilder("flat", WallStyle(), np.random.default_rng(3))
-for x in (0, 5, 11, 20):
+for x in (0.0, 5.0, 11.0, 20.0):
     flat.plain((x, 0), (x, 5), 0.6)
-for x in (0, 8, 14, 20):
+for x in (0.0, 8.0, 14.0, 20.0):
     flat.plain((x, 7), (x, 13), 0.6)
-for y, doors in ((0, ()), (5, (2.5, 8, 15)), (7, (4, 11, 17)), (13, ())):
+for y, doors in ((0.0, ()), (5, (2.5, 8, 15)), (7, (4, 11, 17)), (13, ())):
     ends = [0, *(d + side for d in doors for side in (-0.6, 0.6)), 20]
     for a, b in zip(ends[::2], ends[1::2], strict=True):
         flat.plain((a, y), (b, y), 0.6)
@@ -22,7 +22,8 @@ for x, y, wide, deep in ((0.5, 0.2, 1.4, 0.7), (9, 0.1, 1.8, 0.6), (18, 1, 1, 2)
 left = [(2.5, 2), (2.5, 6), (8, 6), (8, 2), (9.5, 2.5), (8, 3.5), (8, 6), (11, 6), (11, 10), (12, 9), (11, 8), (11, 6)]
 right = [(17, 10), (17, 6), (11, 6), (11, 10), (10, 10.5), (11, 8), (11, 6), (8, 6), (8, 2.5), (7, 2), (8, 3.5), (8, 6)]
 scanner = DriveConfig(scanner=Scanner(far=12.0))
-drives = [drive(flat.world(), through(way, 0.4), scanner, seed=k) for k, way in enumerate((left, right))]
+routes = through(left, 0.4), through(right, 0.4)
+drives = [drive(flat.world(), route, scanner, seed=k) for k, route in enumerate(routes)]
 
 # Both are mapped as their scans come, in turn.
 slams = [mapweave.LaserSlam(robot=str(k + 1)) for k in range(2)]
@@ -34,7 +35,7 @@ for step in range(max(len(d.log.scans) for d in drives)):
             slam.add_scan(d.log.scan_t[step], ranges, scan.angles(), odometry=scan.odometry)
 
 # Their keyframes are tried against each other; two maps become one where enough places agree and no other way fits.
-graphs = [slam.result().maps[0].graph for slam in slams]
+graphs = [graph for slam in slams if (graph := slam.result().maps[0].graph) is not None]
 woven = weave(graphs)
 for merge in woven.merges:
     print(merge.reason)

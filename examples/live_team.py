@@ -13,7 +13,7 @@ with socket.socket() as free:
     at = f"tcp/127.0.0.1:{free.getsockname()[1]}"
 
 
-def quiet(words):
+def quiet(words: str) -> None:
     """Both kinds of process tell in a line what happens; here nobody listens."""
 
 
@@ -22,7 +22,7 @@ with tempfile.TemporaryDirectory() as folder:
     mapweave.simulate_landmarks(home / "team", robots=2, minutes=0.7, seed=4)
 
     # Each robot is a process on its own machine; here they are threads. A rate of 1 drives in real time.
-    def drive(name):
+    def drive(name: str) -> None:
         network = mapweave.Network(connect=(at,))
         told = mapweave.live_robot(name, home / "team", rate=math.inf, history=home / name, network=network, say=quiet)
         print(f"{told.name} told {told.messages} messages")

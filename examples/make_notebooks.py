@@ -44,7 +44,6 @@ def main(folder: Path) -> None:
         made = notebook(script.read_text(encoding="utf-8"))
         path = folder / f"{script.stem}.ipynb"
         path.write_text(json.dumps(made, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-        print(path)
 
 
 def _paragraphs(body: str) -> list[str]:
@@ -67,4 +66,6 @@ def _code(text: str) -> dict:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else HERE / "notebooks")
+    where = Path(sys.argv[1]) if len(sys.argv) > 1 else HERE / "notebooks"
+    main(where)
+    print(f"{where}: {len(scripts())} notebooks")

@@ -1,11 +1,13 @@
 """A planner of one's own: a function from what the team knows to the robots' speeds and turn rates."""
 
+from typing import Any
+
 import numpy as np
 
 import mapweave
 
 
-def sweep(belief, poses, cfg):
+def sweep(belief: Any, poses: np.ndarray, cfg: mapweave.ExploreConfig) -> np.ndarray:
     """Every robot drives straight on and turns left near the edge of the field.
 
     poses: (M, 3) [m, m, rad]; returns (M, 2): speed [m/s] and turn rate [rad/s], which must be among those of `cfg`.

@@ -20,6 +20,9 @@ anchors = {table.ids[k]: swarm.position[0, k] for k in swarm.corners[:2]}
 result = mapweave.locate(sightings, anchors=anchors, sigma="1deg")
 print(result.summary())
 
+# Sightings without stamps are of robots that stand: the result holds one estimate of all.
+assert isinstance(result, mapweave.Located)
+assert result.estimate.cov is not None
 error = np.linalg.norm(result.estimate.position - swarm.position[0], axis=1)
 spread = np.sqrt(np.trace(result.estimate.cov, axis1=1, axis2=2))
 print(f"RMSE {np.sqrt((error**2).mean()):.3f} m; promised {np.sqrt((spread**2).mean()):.3f} m")

@@ -17,6 +17,7 @@ scans = {
     "angles": log.scans[0].angles(),
     "range_max": log.scans[0].range_max,
 }
+assert log.odometry is not None
 x, y, theta = log.odometry.pose.T
 odometry = {"t": log.odometry.t, "x": x, "y": y, "theta": theta}
 bent = mapweave.map(scans=scans, odometry=odometry)

@@ -1,4 +1,4 @@
-"""Every example runs in a directory of its own, and becomes a notebook whose code runs too."""
+"""Every example becomes a notebook, whose cells run one by one in a folder of their own and hold all of its script."""
 
 import ast
 import importlib.util
@@ -30,11 +30,28 @@ def words(lines):
     return [NUMBER.sub("#", line) for line in lines]
 
 
+# each cell on its own in one namespace, `__main__`, as a kernel runs it
+CELLS = """
+import json, sys
+for cell in json.load(open(sys.argv[1], encoding="utf-8"))["cells"]:
+    if cell["cell_type"] == "code":
+        exec(compile(cell["source"], cell["id"], "exec"))
+"""
+
+
+@pytest.fixture(scope="module")
+def notebooks(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("notebooks")
+    make_notebooks.main(folder)
+    return folder
+
+
 def run(path, folder):
     env = {**os.environ, "MPLBACKEND": "Agg"}
     return subprocess.run(  # noqa: S603
-        [sys.executable, str(path)], cwd=folder, capture_output=True, text=True, timeout=300, check=False, env=env
-    )
+        [sys.executable, "-c", CELLS, str(path)],
+        cwd=folder, capture_output=True, text=True, timeout=300, check=False, env=env,
+    )  # fmt: skip
 
 
 def test_every_example_is_short():
@@ -46,8 +63,8 @@ EXAMPLES = [pytest.param(p, id=p.stem, marks=() if p.stem in QUICK else pytest.m
 
 
 @pytest.mark.parametrize("path", EXAMPLES)
-def test_an_example_prints_what_its_page_says_and_leaves_nothing_behind(path, tmp_path):
-    done = run(path, tmp_path)
+def test_a_notebook_prints_what_its_page_says_and_leaves_nothing_behind(path, notebooks, tmp_path):
+    done = run(notebooks / f"{path.stem}.ipynb", tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     assert list(tmp_path.iterdir()) == []
     page = (PAGES / f"{path.stem.replace('_', '-')}.md").read_text(encoding="utf-8")
@@ -59,33 +76,19 @@ def test_an_example_prints_what_its_page_says_and_leaves_nothing_behind(path, tm
 
 
 @pytest.mark.slow
-def test_maps_of_two_places_are_not_made_one(tmp_path):
-    said = run(HERE / "fuse_results.py", tmp_path).stdout
+def test_maps_of_two_places_are_not_made_one(notebooks, tmp_path):
+    said = run(notebooks / "fuse_results.ipynb", tmp_path).stdout
     assert "elsewhere/robot1: refused" in said
     assert "landmark RMSE 0." in said
 
 
-def test_notebooks_hold_all_code_of_their_scripts_and_nothing_else(tmp_path, capsys):
-    make_notebooks.main(tmp_path)
-    assert capsys.readouterr().out.count("\n") == len(SCRIPTS)
+def test_notebooks_hold_all_code_of_their_scripts_and_nothing_else(notebooks):
+    assert len(list(notebooks.iterdir())) == len(SCRIPTS) == 12
     for path in SCRIPTS:
-        made = json.loads((tmp_path / f"{path.stem}.ipynb").read_text(encoding="utf-8"))
+        made = json.loads((notebooks / f"{path.stem}.ipynb").read_text(encoding="utf-8"))
         assert (made["nbformat"], made["nbformat_minor"]) == (4, 5)
         assert len({cell["id"] for cell in made["cells"]}) == len(made["cells"])
         assert made["cells"][0]["source"].startswith("# ")
         code = [cell["source"] for cell in made["cells"] if cell["cell_type"] == "code"]
         whole = ast.parse(path.read_text(encoding="utf-8"))
         assert ast.dump(ast.parse("\n\n".join(code))) == ast.dump(ast.Module(whole.body[1:], []))
-
-
-@pytest.mark.slow
-def test_a_notebooks_code_runs_cell_by_cell(tmp_path):
-    make_notebooks.main(tmp_path / "notebooks")
-    made = json.loads((tmp_path / "notebooks" / "swarm.ipynb").read_text(encoding="utf-8"))
-    script = tmp_path / "cells.py"
-    script.write_text(
-        "\n\n".join(cell["source"] for cell in made["cells"] if cell["cell_type"] == "code"), encoding="utf-8"
-    )
-    done = run(script, tmp_path)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "RMSE 0." in done.stdout

@@ -24,6 +24,7 @@ from .in_memory import Truths, decisions_of_argument, result_folders, truth_file
 from .laser_result import DecisionsGiven, LaserResult, same_logs, woven_result
 from .map_laser import LaserMapConfig
 from .map_options import expect_there
+from .result import MapResult
 from .team import TeamResult, Watch, team_result
 
 
@@ -82,7 +83,7 @@ def _renamed_laser(local_map: LaserMap, robot: str) -> LaserMap:
 @checked_arguments
 @one_blas_thread()
 def fuse(
-    directories: Path | str | TeamResult | LaserResult | Sequence[Path | str | TeamResult | LaserResult],
+    directories: Path | str | MapResult | Sequence[Path | str | MapResult],
     out: Path | str | None = None,
     *,
     weights: str | None = None,
