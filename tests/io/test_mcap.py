@@ -1,5 +1,9 @@
 """A simulated log written as MCAP comes back to the bit, and other tools find what they need in it."""
 
+import errno
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
@@ -28,6 +32,22 @@ def test_reading_it_back_gives_the_same_events_to_the_bit(driven):
         for name in a.record.__slots__:
             u, v = getattr(a.record, name), getattr(b.record, name)
             assert np.array_equal(u, v) if isinstance(u, np.ndarray) else u == v, name
+
+
+def test_it_is_written_where_temporary_files_are_on_another_file_system(driven, tmp_path, monkeypatch):
+    def within(move):
+        def moved(source, target, **options):
+            if Path(source).parent != Path(target).parent:
+                raise OSError(errno.EXDEV, os.strerror(errno.EXDEV), str(source))
+            return move(source, target, **options)
+
+        return moved
+
+    sim, path = driven
+    for name in ("rename", "replace"):
+        monkeypatch.setattr(os, name, within(getattr(os, name)))
+    write_mcap(tmp_path / path.name, sim.log, sim.truth, range_min=0.1)
+    assert len(read_laser(tmp_path / path.name).scans) == len(sim.log.scans)
 
 
 def test_the_truth_is_on_a_topic_no_reader_of_odometry_takes(driven):

@@ -5,6 +5,7 @@ known), `/fix` where a receiver is aboard, and `/ground_truth`, a PoseStamped, s
 finds the truth.
 """
 
+import shutil
 import tempfile
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -81,7 +82,7 @@ def write_messages(path: Path, types: Mapping[str, str], messages: Iterable[Mess
             for ns, topic, message in sorted(messages, key=lambda m: m[0]):
                 writer.write(connections[topic], ns, STORE.serialize_cdr(message, types[topic]))
         with result_file(path) as work:
-            next(bag.glob("*.mcap")).replace(work)
+            shutil.move(next(bag.glob("*.mcap")), work)  # the folder may be on another file system
 
 
 def _messages(log: LaserLog, truth: Track | None, range_min: float) -> Iterator[Message]:
