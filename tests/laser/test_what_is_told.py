@@ -13,7 +13,7 @@ from mapweave.core.records import Track
 from mapweave.io.assemble import RawLog, RawScan
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import map_laser
-from mapweave.sim.laser_worlds import OfficeConfig, simulate_office
+from mapweave.sim.laser_worlds import CorridorConfig, OfficeConfig, simulate_corridor, simulate_office
 
 CFG = LaserConfig(method="graph", feature="none")
 
@@ -181,3 +181,13 @@ def test_wide_turns_that_nothing_but_scans_tells_are_told_and_those_of_a_gyrosco
     heading = np.interp(office.scan_t, office.odometry.t, np.unwrap(office.odometry.pose[:, 2]))
     gyro = tuple(replace(scan, heading=float(a)) for scan, a in zip(bare.scans, heading, strict=True))
     assert "turns-alone" not in {f.code for f in map_laser(replace(bare, scans=gyro), CFG, 0).findings}
+
+
+@pytest.mark.parametrize(("driven", "seems"), [(25.0, "to stand"), (60.0, "short")])
+def test_a_corridor_along_which_nothing_but_scans_tells_the_way_is_told_and_that_of_wheels_is_not(driven, seems):
+    log = simulate_corridor(CorridorConfig(distance=driven), 5).log
+    bare = replace(log, odometry=None, scans=tuple(replace(scan, odometry=None) for scan in log.scans))
+    told = {f.code: f for f in map_laser(bare, CFG, 0).findings}
+    assert (told["slides-alone"].value < 2.0) == (seems == "to stand")
+    assert verdict(told.values()) == "doubtful"
+    assert "slides-alone" not in {f.code for f in map_laser(log, CFG, 0).findings}

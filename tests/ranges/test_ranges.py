@@ -6,20 +6,27 @@ import numpy as np
 import pytest
 
 import mapweave
+from mapweave.api.ranges import _findings
 from mapweave.core import se2
+from mapweave.core.findings import Finding, verdict
 from mapweave.core.records import Track
 from mapweave.ranges import log as range_log
-from mapweave.ranges.estimate import RangeEstimate, _Noise, _unlikely, estimate
+from mapweave.ranges.estimate import RangeEstimate, _mirrored, _Noise, _of_layout, _unlikely, estimate
 from mapweave.ranges.factors import lasting, motion_factor, range_factor
 from mapweave.ranges.log import RangeLog, network_of
-from mapweave.ranges.network import Motions, RangeNetwork, Ranges
-from mapweave.ranges.start import placements
+from mapweave.ranges.network import Motions, RangeNetwork, Ranges, bodies_of
+from mapweave.ranges.start import lay_out, placements
 
 from ..differences import assert_derivative
 from .worlds import BIAS, LINE, SQUARE, STILL, driven, log_of, ranged
 
 TWO = {"robot1": driven(SQUARE, (0.0, 0.0, 0.0)), "robot2": driven(SQUARE[::-1] * 1.3, (2.0, 5.0, 2.0))}
 BEACONS = {"beacon1": (-2.0, 4.0), "beacon2": (5.0, 1.0)}
+
+
+def range_findings(log: RangeLog) -> list[Finding]:
+    net = network_of(log)
+    return _findings(net, estimate(net))
 
 
 def misses(net: RangeNetwork, found: RangeEstimate, truth: dict[str, Track], beacons: dict) -> dict[str, float]:
@@ -56,6 +63,34 @@ def test_a_beacon_seen_from_a_straight_way_may_lie_on_either_side_and_from_a_cor
         found = placements(q, np.zeros_like(q), z, turns=False)
         assert len(found) == sides
         assert min(np.hypot(*(way.T[:2] - beacon)) for way in found) < 0.15
+
+
+@pytest.mark.parametrize(("way", "straight"), [(LINE, True), (SQUARE, False)])
+def test_the_mirror_image_is_tried_of_a_team_that_drove_straight_though_its_odometry_turned(way, straight):
+    team = {"robot1": driven(way, (0.0, 0.0, 0.0)), "robot2": driven(way, (1.0, 2.0, 0.4))}
+    log = ranged(team, BEACONS)
+    wandering = log.odometry["robot1"].pose.copy()
+    wandering[:, 1] += 0.02 * wandering[:, 0] ** 2
+    bent = replace(log.odometry["robot1"], pose=wandering)
+    net = network_of(replace(log, odometry={**log.odometry, "robot1": bent}))
+    bodies = bodies_of(net)
+    best = _of_layout(net, bodies, lay_out(net, bodies, list(range(len(bodies.turns)))).layouts[0])
+    image = _mirrored(net, bodies, best)
+    assert (image is not None) == straight
+    if image is not None:
+        np.testing.assert_allclose(image[:, :2], best.pose[:, :2] * (1.0, -1.0), atol=1.0)
+
+
+@pytest.mark.parametrize("of", ["all", "one"])
+def test_ranges_that_drift_and_a_beacon_that_is_moved_make_a_doubtful_map(of):
+    log = ranged(TWO, BEACONS)
+    assert "ranges-drift" not in {f.code for f in range_findings(log)}
+    late = log.t / log.t.max()
+    moved = 1.5 * late if of == "all" else 1.5 * (late > 0.5) * (log.b == 2)
+    told = [f for f in range_findings(replace(log, z=log.z + moved)) if f.code == "ranges-drift"]
+    assert len(told) == 1
+    assert verdict(told) == "doubtful"
+    assert told[0].value["value"] > 0.3
 
 
 @pytest.mark.parametrize("nlos", [0.0, 0.2])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
+from mapweave.core.findings import verdict
 from mapweave.core.landmark_log import NOTHING_SEEN
 from mapweave.evaluation.team import score_team
 from mapweave.solve import Factor
@@ -50,6 +51,20 @@ def test_all_derivatives_are_those_of_differences():
                 change = np.where(np.abs(change) > 1, se2.wrap_angle(change), change) / (2 * h)
                 np.testing.assert_allclose(J[row, :, c], change, atol=5e-3 if lag else 2e-5, err_msg=term.name)
     assert kinds == {"odometry", "wandering", "landmark", "robot", "prior"}
+
+
+def test_a_name_that_two_landmarks_bear_is_told_and_those_of_one_are_not():
+    w = world(5)
+    assert "landmark-torn" not in {f.code for f in smoothed(w).notes}
+    log = w.logs[0]
+    seen = log.sightings
+    bears, other = (seen.ids.index(name) for name in ("8", "15"))
+    rows = np.flatnonzero(seen.what == other)
+    what = seen.what.copy()
+    what[rows[: len(rows) // 2]] = bears
+    told = smoothed(w, logs=[replace(log, sightings=replace(seen, what=what)), *w.logs[1:]]).findings
+    assert [f.value["name"] for f in told if f.code == "landmark-torn"] == ["8"]
+    assert verdict(told) == "doubtful"
 
 
 @pytest.fixture(scope="module")

@@ -123,6 +123,7 @@ TOLD = {  # code of a finding: the cause that it is a sign of by itself
     "labels-exchanged": "labels",
     "landmarks-renamed": "labels",
     "tag-twice": "labels",
+    "landmark-torn": "labels",
     "sightings-doubted": "labels",
     "wheels-stand": "slip",
     "wheels-scale": "scale",

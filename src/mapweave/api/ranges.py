@@ -40,6 +40,10 @@ from .team import Watch
 
 SURVEYED = 0.02  # [m] sd of a beacon whose survey does not say it
 BIASES_APART = 1.0  # [m] by which pairs of radios differ (rms about their median) in how much too long they read
+WINDOWS = 10  # into which the ranges of a pair are cut in order of time
+OFF = 0.3  # [m] by which the median of such a window is off: twice what ranging radios scatter by
+OFF_SHARE = 0.02  # of all windows, from which it is told: one may be off by chance
+LEAST = 3  # ranges of a window
 MOSTLY = 0.5  # share of ranges rejected from which nothing is believed
 TOLD_SHARE = 0.02  # of all ranges rejected, from which it is told
 
@@ -315,6 +319,7 @@ def _findings(net: RangeNetwork, found: RangeEstimate) -> list[Finding]:
         worst_of = found.radios[int(np.argmax(apart))]
         pair = f"{robot_key(worst_of.a)} and {robot_key(worst_of.b)}"
         out.append(Finding("range-biases", value={"pair": pair, "bias": worst_of.bias, "value": differ}))
+    out += _drifting(net, found)
     if far > MOSTLY * n:
         out.append(Finding("ranges-contradict", value={"far": far, "n": n}))
     for part in found.parts:
@@ -334,6 +339,29 @@ def _findings(net: RangeNetwork, found: RangeEstimate) -> list[Finding]:
     if others := [robot for part in found.parts[1:] for robot in _robots(net, part)]:
         out.append(Finding("robots-apart", value=told_list([robot_key(r) for r in others])))
     return out
+
+
+def _drifting(net: RangeNetwork, found: RangeEstimate) -> list[Finding]:
+    """That ranges do not keep to one place and one bias: the pair whose ranges do so least, if many do not.
+
+    Ranges that were rejected count where they are too short, which no wall makes them.
+    """
+    names, which = net.pairs()
+    off = np.zeros((len(names), WINDOWS))
+    for k in range(len(names)):
+        mine = np.flatnonzero((which == k) & np.isfinite(found.residual))
+        mine = mine[np.argsort(net.ranges.t[mine], kind="stable")]
+        for w, part in enumerate(np.array_split(mine, WINDOWS) if len(mine) >= LEAST * WINDOWS else ()):
+            e, used = found.residual[part], ~found.far[part]
+            short, kept = float(np.median(e)), float(np.median(e[used])) if used.sum() >= LEAST else 0.0
+            off[k, w] = short if short < -OFF else kept
+    share = float((np.abs(off) > OFF).mean()) if len(names) else 0.0
+    if share <= OFF_SHARE:
+        return []
+    k = int(np.argmax(np.abs(off).max(axis=1)))
+    a, b = (robot_key(net.everybody[end]) for end in names[k].tolist())
+    told: dict[str, float | str] = {"share": 100 * share, "pair": f"{a} and {b}", "value": float(np.abs(off[k]).max())}
+    return [Finding("ranges-drift", value=told)]
 
 
 def _robots(net: RangeNetwork, part: PlacedPart) -> list[str]:

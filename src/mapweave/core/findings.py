@@ -275,6 +275,13 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "each other: the map may be wrong by a room.",
             "Record odometry or a gyroscope, scan more often, or turn more slowly.",
         ),
+        "slides-alone": FindingKind(
+            "doubtful",
+            "over {value:.1f} m or more the walls in reach tell little along one direction, and nothing but the scans "
+            "tells the way",
+            "Along a bare corridor a scan fits wherever the robot is: the map may be too short or too long by metres.",
+            "Record odometry, or use a scanner that reaches the corridor's ends or measures intensity.",
+        ),
         "odometry-short": FindingKind(
             "note",
             "{value:.0f} of {all:.0f} scans are outside the time of the odometry",
@@ -545,6 +552,12 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "It moves, or several things bear its name.",
             "Nothing.",
         ),
+        "landmark-torn": FindingKind(
+            "doubtful",
+            "{value:.0f} of {all:.0f} sightings of {name} lie elsewhere than the others, when all is smoothed",
+            "Two landmarks bear that name, or it was moved or misread: where robots saw it the map may be wrong.",
+            "Look whether two landmarks bear that name; correct the labels or leave it out.",
+        ),
         "sightings-doubted": FindingKind(
             "doubtful",
             "{value:.0f} of {all:.0f} sightings had to be down-weighted",
@@ -709,6 +722,14 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "How much too long a pair's ranges are is estimated with the map. That they are so unlike makes up for "
             "robots or beacons that stand elsewhere, as where robots drove too little or ranges went past walls.",
             "Drive farther while ranging; look at the map, and whether each radio is on the robot it is said to be on.",
+        ),
+        "ranges-drift": FindingKind(
+            "doubtful",
+            "ranges keep to no one place and bias: for {share:.0f} % of the time they are off together, most those "
+            "between {pair}, by {value:.1f} m",
+            "Radios drift as they warm up, a beacon was moved, two bear one name, or somebody lies wrong: the map may "
+            "be bent by as much.",
+            "Look at `ranges.csv` for when ranges are off, cut the log there, and let beacons stand.",
         ),
         "range-unplaced": FindingKind(
             "doubtful",

@@ -8,6 +8,8 @@ Wheels. Where the motion from scans and that from wheels differ for long, one of
 
 Turns. Where nothing but the scans tells of a wide turn from one to the next, it may have been another.
 
+Slides. Where nothing but scans tells how far a robot drove, and walls do so no better than wheels would, nobody knows.
+
 Jumps. Where the scene changes at once though the wheels hardly moved, the robot was carried, or logs were joined.
 
 Places. A trajectory that says it passes by places seen before, where none of them is found again, is told.
@@ -26,6 +28,7 @@ from ..core import se2
 from ..core.findings import Finding
 from ..core.names import robot_name
 from ..core.records import Scan, Track
+from .keyframes import STEP_NOISE_BLUR
 from .laser_map import ScanRecords
 from .robot_graph import RobotGraph
 from .scan_odometry import STILL
@@ -56,6 +59,9 @@ LEAP_SPEED = 5.0  # times the speed that no more
 LEAP_OTHERS = 0.95  # of all steps than this share have
 
 ALONE_WIDE = 0.6  # [rad] from one scan to the next that nothing but they tell: rooms alike pass for each other
+
+SLIDE_SD = 0.02  # [m] of the step from keyframe to keyframe: walls tell it to 0.005, wheels would to 0.025
+SLIDE_WAY = 2.0  # [m] of such steps in all: a few in a doorway do not matter
 
 JUMP_DROP = 0.4  # of the share of returns on known walls from one scan to the next, and
 DROP_PER_M = 1.0  # so much more for a metre between the two and
@@ -160,6 +166,24 @@ def turns_alone(records: ScanRecords, scans: Sequence[Scan], robot: str) -> tupl
         return ()
     span = (float(records.t[wide[0]]), float(records.t[wide[0] + 1]))
     return (Finding("turns-alone", robot, span, {"times": len(wide), "most": float(np.degrees(turned[wide].max()))}),)
+
+
+def slides_alone(graph: RobotGraph, scans: Sequence[Scan], robot: str) -> tuple[Finding, ...]:
+    """A finding where scans alone, without wheels and without light, tell the way, and walls tell little along it.
+
+    The way counts as the scans tell it, which is short: a robot may seem to stand.
+    """
+    if graph.q is not None or not all(scan.odometry is None for scan in scans):
+        return ()
+    sd = np.sqrt(np.linalg.eigvalsh(np.linalg.inv(graph.step_information)[:, :2, :2])[:, 1])
+    loose = np.flatnonzero((sd > SLIDE_SD) & np.array([not why for why in graph.border[1:]], bool))
+    way = float(np.hypot(*graph.step[loose, :2].T).sum())
+    if way >= SLIDE_WAY:
+        return (Finding("slides-alone", robot, (float(graph.t[loose[0]]), float(graph.t[loose[-1] + 1])), way),)
+    along, across = np.linalg.eigvalsh(graph.normals.T @ graph.normals)
+    if graph.path[-1] >= SLIDE_WAY or along > STEP_NOISE_BLUR * (along + across):
+        return ()
+    return (Finding("slides-alone", robot, None, way),)
 
 
 def wheels_unlike(track: Track, dead: Track | None, robot: str) -> tuple[Finding, ...]:

@@ -25,6 +25,7 @@ from ..laser.light_worth import apart, worth
 from ..laser.log_warnings import (
     jumps,
     lag_found,
+    slides_alone,
     stamp_lag,
     turns_alone,
     wheels_disagree,
@@ -352,6 +353,7 @@ def map_session(
         *wheels_disagree(track, dead, robot, agreement.factor()),
         *wheels_stand(track, dead, robot),
         *turns_alone(result.scans, log.scans, robot),
+        *(() if graph is None else slides_alone(graph, log.scans, robot)),
         *wheels_leap(log.scan_t, log.scans, robot, segments=graph is not None),
     )
     measured = agreement.findings(robot)

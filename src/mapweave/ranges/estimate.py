@@ -60,6 +60,7 @@ TIGHT = GemanMcClure(3.0)
 ROUNDS: tuple[Kernel | None, ...] = (WIDE, TIGHT, TIGHT, None, None)
 AMONG_FIXES: tuple[Kernel | None, ...] = (WIDE, None)  # the same, where ranges alone have told the noise
 LEFT_OUT = 1e6  # times its sd: a range that is left out
+STRAIGHT = 0.3  # of how far a path spreads, by which it differs from its mirror image: odometry bends straight ones
 MOST_TIED = 4  # layouts that are worked out whole, to see which explains the ranges best
 SOLVE = SolveConfig(max_iterations=30, damping=1e-4, step_tolerance=1e-5, cost_tolerance=1e-6)
 
@@ -134,6 +135,8 @@ def estimate(net: RangeNetwork) -> RangeEstimate:
     while robots & set(waiting):
         start = lay_out(net, bodies, waiting)
         solved = sorted((_of_layout(net, bodies, layout) for layout in start.layouts[:MOST_TIED]), key=lambda s: s.cost)
+        if (image := _mirrored(net, bodies, solved[0])) is not None:
+            solved = sorted([*solved, _start_at(net, bodies, solved[0].nodes, image)], key=lambda s: s.cost)
         best = solved[0]
         others: list[np.ndarray] = []
         for s in solved[1:]:
@@ -356,9 +359,35 @@ def _of_layout(net: RangeNetwork, bodies: Bodies, layout: BodyLayout) -> _Solved
     nodes = np.flatnonzero(np.isin(bodies.of, list(layout.frames)))
     frames = np.zeros((len(bodies.turns), 3))
     frames[list(layout.frames)] = np.array(list(layout.frames.values()))
-    solved = _solved(net, bodies, nodes, se2.compose(frames[bodies.of[nodes]], bodies.pose[nodes]))
+    return _start_at(net, bodies, nodes, se2.compose(frames[bodies.of[nodes]], bodies.pose[nodes]))
+
+
+def _start_at(
+    net: RangeNetwork, bodies: Bodies, nodes: Int[np.ndarray, " n"], pose: Float[np.ndarray, "n 3"]
+) -> _Solved:
+    """`nodes` worked out from `pose`."""
+    solved = _solved(net, bodies, nodes, pose)
     assert solved is not None  # noqa: S101  (only fixes may fail to hold it)
     return solved
+
+
+def _mirrored(net: RangeNetwork, bodies: Bodies, best: _Solved) -> Float[np.ndarray, "n 3"] | None:
+    """The mirror image of `best`, about; None where priors or robots that turned deny it.
+
+    Of robots that drove straight nothing tells the two apart but the errors of their odometry, which bend their paths
+    and may have decided for one side.
+    """
+    if len(net.priors.node):
+        return None
+    image, of = best.pose * (1.0, -1.0, -1.0), bodies.of[best.nodes]
+    for body in np.unique(of[~net.is_beacon[best.nodes]]).tolist():
+        mine, own = of == body, bodies.pose[best.nodes[of == body]]
+        there = image[mine, :2]
+        laid = se2.compose(se2.align(own[:, :2], there), own)
+        if np.square(laid[:, :2] - there).sum() > STRAIGHT**2 * np.square(there - there.mean(axis=0)).sum():
+            return None
+        image[mine] = laid
+    return image
 
 
 def _solved(

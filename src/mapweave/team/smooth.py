@@ -52,6 +52,11 @@ RANGE_BESIDE_LASER = 2.0  # so uncertain are ranges in a team with a laser: erro
 BARE_RANGE_SCALE = 0.99  # range as maps made of ranges alone hold it over the true one: nobody has wheels
 CLOCK_TOLD = 4.0  # standard deviations from which a clock is told
 
+TORN_FAR = 4.0  # standard deviations, each twice what sightings scatter by, from which one is of another place
+TORN_SHARE = 0.05  # of a landmark's sightings: where one in twenty is, it is told (of real landmarks one in 200)
+TORN_OTHERS = 3.0  # times the share of all others, beside that
+TORN_LEAST = 6  # sightings that are, at least
+
 OBSERVED = 0.7  # share of the prior's standard deviation
 Calibration = Mapping[str, tuple[float, float]]  # parameter -> (value, standard deviation)
 
@@ -152,7 +157,7 @@ def smooth(
         iterations=solution.iterations,
         status=str(solution.status),
         prior=_prior(cfg),
-        notes=(*notes, *_ambiguous(problem, solution, others, cov)),
+        notes=(*notes, *_ambiguous(problem, solution, others, cov), *_torn(problem, solution)),
         cost=solution.cost,
         clocks=clocks_of(problem, solution, CLOCK_SUSPECT, CLUSTER, clocks),
     )
@@ -191,6 +196,24 @@ def _ambiguous(
     apart = [np.hypot(*(end.x - best.x)[spots + np.array([[0], [1]])]) for end in others if _as_good(end, best, lead)]
     far = max((float(d[d > MINIMA_SURE * np.sqrt(variance)].max(initial=0.0)) for d in apart), default=0.0)
     return (Finding("fits-otherwise", value=far),) if far > MINIMA_APART else ()
+
+
+def _torn(problem: TeamProblem, solution: Solution) -> tuple[Finding, ...]:
+    """Landmarks of which many sightings lie elsewhere than the rest: two that bear one name bend all they tie."""
+    n = len(problem.landmarks)
+    count, far = np.zeros((2, n), np.int64)
+    for term in problem.factors:
+        if term.name == "landmark":
+            which = (term.columns[:, 3] - problem.landmark_start) // 2
+            off = np.linalg.norm(term.whitened(solution.x), axis=1)
+            count += np.bincount(which, minlength=n)
+            far += np.bincount(which[off > TORN_FAR], minlength=n)
+    rest = (far.sum() - far) / np.maximum(count.sum() - count, 1)  # of the others: wrong sightings are of all alike
+    torn = np.flatnonzero((far >= TORN_LEAST) & (far > (TORN_SHARE + TORN_OTHERS * rest) * count)).tolist()
+    names = problem.landmarks
+    return tuple(
+        Finding("landmark-torn", value={"name": names[k], "value": int(far[k]), "all": int(count[k])}) for k in torn
+    )
 
 
 def _as_good(end: Solution, best: Solution, lead: float) -> bool:
