@@ -341,3 +341,11 @@ def test_an_initial_guess_must_cover_every_robot(tmp_path):
     start = table(tmp_path, ["1,0,0", "2,10,0"], "id,x,y", "start.csv")
     with pytest.raises(DataError, match="no place for robot 3"):
         mapweave.locate(table(tmp_path, rows_of(FIVE)), initial=start, anchors={"1": (0, 0), "2": (10, 0)})
+
+
+def test_a_swarm_of_anchors_alone_is_not_reliable_and_says_why(tmp_path):
+    table = tmp_path / "sightings.csv"
+    table.write_text("observer,target,bearing\na,b,0.1\nb,a,3.2416\n")
+    result = mapweave.locate(table, anchors={"a": (0.0, 0.0), "b": (10.0, 0.0)})
+    assert not result.estimate.reliable
+    assert any("every robot is an anchor" in line for line in result.lines())

@@ -265,6 +265,7 @@ def posterior(
     unknown = dim * (n - len(net.anchors)) + (0 if net.axis else len(np.unique(net.observer)))
     dof = len(net.observer) * (dim - 1) + len(net.distances) - unknown + start.seen.nullity
     doubts = chi2_warnings(chi2, dof) if anyone and np.any(net.sigma > 0) else []
+    doubts += ["every robot is an anchor: nobody is left to be found"] * bool(net.is_anchor.all())
     if status is not SwarmStatus.CONVERGED:
         doubts.append(f"the refinement ended with: {status}")
     if information is None:
