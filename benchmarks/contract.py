@@ -17,7 +17,7 @@ ESTIMATORS = ("solve", "landmarks", "laser", "swarm", "ranges", "fusion", "mappi
 HOMES = {  # a library, and where alone it may be imported
     "numba": ("kernels._jit", "kernels._cache"),
     "zenoh": ("live.transport",),
-    "matplotlib": ("report",),
+    "matplotlib": ("report.style",),
     "rerun": ("viewer",),
 }
 FILES = {  # calls that open a file

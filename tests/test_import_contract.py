@@ -129,7 +129,7 @@ def sinned(tmp_path):
 
 
 ZENOH = "api.idea: zenoh.ext is imported in live.transport alone"
-DRAWN = "papers.idea: matplotlib.axes is imported in report alone"
+DRAWN = "papers.idea: matplotlib.axes is imported in report.style alone"
 CHECKED = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    "
 
 
@@ -152,6 +152,7 @@ CHECKED = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    "
         ("live/idea.py", "import zenoh", "live.idea: zenoh is imported in live.transport alone"),
         ("api/idea.py", "def late():\n    from zenoh.ext import z", ZENOH),
         ("papers/idea.py", f"{CHECKED}from matplotlib.axes import Axes", DRAWN),
+        ("report/idea.py", "import matplotlib", "report.idea: matplotlib is imported in report.style alone"),
         ("api/idea.py", "import_module('rerun')", "api.idea: rerun is imported in viewer alone"),
         ("laser/idea.py", "import numba", "laser.idea: numba is imported in kernels._jit, kernels._cache alone"),
         ("kernels/idea.py", "import numba", "kernels.idea: numba is imported in kernels._jit, kernels._cache alone"),
@@ -185,7 +186,7 @@ def test_a_circle_inside_a_room_is_caught(sinned, line):
         ("laser/idea.py", "from ._own import Beam\nfrom ..core import other\nfrom ..kernels.other import cast"),
         ("live/idea.py", "from .transport import Session\nimport time\nprint(time.time())"),
         ("io/idea.py", "open(name).read()"),
-        ("report/idea.py", "import matplotlib.pyplot"),
+        ("report/style.py", "import matplotlib.pyplot"),
         ("mapping/idea.py", "graph.load(values)\nnow = clock.now"),
     ],
 )

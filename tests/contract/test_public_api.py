@@ -66,6 +66,12 @@ def test_importing_and_asking_for_help_imports_nothing_heavy():
     assert done.stderr.strip() == "[]"
 
 
+def test_what_need_not_draw_imports_no_matplotlib():
+    code = "import sys; from mapweave import *; print('matplotlib' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)  # noqa: S603
+    assert done.stdout.strip() == "False"
+
+
 def test_help_leaves_the_collector_as_it_was(capsys):
     assert gc.isenabled()
     assert _run(["--help"]) == 0

@@ -7,7 +7,7 @@ trajectory. So they are looked for in one order, what lies deepest first, and th
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -23,11 +23,10 @@ from ..laser.laser_map import LaserMap
 from ..laser.robot_graph import RobotGraph
 from ..mapping.merge import Merge
 from ..report.result import ResultBase, Rows
+from ..report.small_pages import draw_checks, write_small_page
+from ..report.style import Target
 from .read import Log
 from .result import MapResult, load
-
-if TYPE_CHECKING:
-    from ..report.style import Target
 
 UNIT = 10.0  # times as far as the wheels tell scans move, or as little: another unit
 SCALE = 0.08  # by which the scale of ways is off where it counts as a cause
@@ -172,17 +171,13 @@ class Causes(ResultBase):
         rows = [(c.name, c.robot or "", c.evidence) for c in self.causes]
         return ("cause", "robot", "evidence"), rows or [("none", "", "")]
 
-    def draw(self, target: "Target") -> None:
+    def draw(self, target: Target) -> None:
         """Every cause that was looked for, and whether it shows."""
-        from ..report.small_pages import draw_checks  # noqa: PLC0415  (figures cost half a second)
-
         shown = {cause.name: cause.evidence[:110] for cause in reversed(self.causes)}
         draw_checks(target, [(name, shown.get(name, "no sign"), name not in shown) for name in MENDS], ())
 
     def write_into(self, folder: Path) -> None:
         """metrics.json, report.html and its picture."""
-        from ..report.small_pages import write_small_page  # noqa: PLC0415  (figures cost half a second)
-
         png = folder / "figures" / "causes.png"
         self.draw(png)
         write_small_page(folder, "Why is this map bent?", self.lines(), self.headline(), png)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from importlib.metadata import EntryPoint, PackageNotFoundError, requires, version
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, overload
+from typing import Any, overload
 
 import numpy as np
 
@@ -18,12 +18,11 @@ from ..io.directory import write_json
 from ..kernels._jit import cache_root, threads
 from ..kernels.walls.raycast import cast
 from ..report.result import ResultBase, Rows
+from ..report.small_pages import draw_checks, write_small_page
+from ..report.style import Target
 from .causes import Causes, causes_of
 from .read import Log
 from .result import MapResult
-
-if TYPE_CHECKING:
-    from ..report.style import Target
 
 NEED = re.compile(r"^(?P<name>[\w.-]+)(?:\[[^]]*\])?(?P<range>[^;]*)(?:;.*extra\s*==\s*['\"](?P<extra>[\w-]+)['\"])?")
 FOR_USERS = ("viewer", "parquet", "pandas", "xarray", "gym", "cluster", "live")
@@ -136,16 +135,12 @@ class Diagnosis(ResultBase):
         words = {True: "good", False: "wrong", None: "not installed"}
         return ("what", "found", "verdict"), [(name, value, words[good]) for name, value, good in self.checks()]
 
-    def draw(self, target: "Target") -> None:
+    def draw(self, target: Target) -> None:
         """Every check and how it came out, and how long a kernel took at first and then."""
-        from ..report.small_pages import draw_checks  # noqa: PLC0415  (figures cost half a second)
-
         draw_checks(target, self.checks(), [("first call", self.first), ("second call", self.second)])
 
     def write_into(self, folder: Path) -> None:
         """metrics.json, report.html and its picture: what to send along with a question."""
-        from ..report.small_pages import write_small_page  # noqa: PLC0415  (figures cost half a second)
-
         png = folder / "figures" / "checks.png"
         self.draw(png)
         write_small_page(folder, "What mapweave runs on", self.lines(), self.headline(), png)

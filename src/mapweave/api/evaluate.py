@@ -6,7 +6,7 @@ from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -40,12 +40,11 @@ from ..io.table import read_table
 from ..io.team_map import read_metrics, read_single_maps, read_team_maps
 from ..io.tum import read_tum, read_tum_rows, track_from
 from ..report.result import ResultBase
+from ..report.score import draw_bars, draw_team_score, draw_tracks
+from ..report.style import Target
 from .in_memory import Truths, result_folder, truth_files
 from .located import read_truth
 from .result import EvaluationBase, Result
-
-if TYPE_CHECKING:
-    from ..report.style import Target
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -61,10 +60,8 @@ class TrackEvaluation(EvaluationBase):
     def unscored(self) -> str:
         return "" if self.score else f"no stamp of {self.name} is within {1000 * WITHIN:.0f} ms of one of the truth"
 
-    def draw(self, target: "Target") -> None:
+    def draw(self, target: Target) -> None:
         """Both trajectories from above, the estimate where it fits best."""
-        from ..report.score import draw_tracks  # noqa: PLC0415  (figures cost half a second)
-
         if self.score is not None:
             draw_tracks(target, self.estimate, self.truth, self.score.T_truth_estimate)
 
@@ -115,9 +112,7 @@ class RelationEvaluation(EvaluationBase):
             return ""
         return f"none of {self.relations.n} relations has a pose of the result within 6 ms at both ends"
 
-    def draw(self, target: "Target") -> None:
-        from ..report.score import draw_bars  # noqa: PLC0415  (figures cost half a second)
-
+    def draw(self, target: Target) -> None:
         scores = {"all": self.relations, "of exact stamps": self.relations_exact}
         shift = {name: s.trans_mean for name, s in scores.items() if s.trans_mean is not None}
         turn = {name: s.rot_mean_deg for name, s in scores.items() if s.rot_mean_deg is not None}
@@ -239,9 +234,7 @@ class SwarmEvaluation(EvaluationBase):
             f"no robot of the truth was located freely ({self.not_localisable} cannot be located, anchors don't count)"
         )
 
-    def draw(self, target: "Target") -> None:
-        from ..report.score import draw_bars  # noqa: PLC0415  (figures cost half a second)
-
+    def draw(self, target: Target) -> None:
         errors = self.score.errors
         lengths = {"RMSE": self.score.rmse, "of distances": errors.distance if errors else None}
         angles = {"of angles": errors.angle_deg if errors else None}
@@ -316,9 +309,7 @@ class TeamEvaluation(EvaluationBase):
     def unscored(self) -> str:
         return unscored(self.score)
 
-    def draw(self, target: "Target") -> None:
-        from ..report.score import draw_team_score  # noqa: PLC0415  (figures cost half a second)
-
+    def draw(self, target: Target) -> None:
         draw_team_score(target, self.score)
 
     def as_json(self) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 from ..core.config import expect_positive, load
 from ..core.errors import ConfigError, UsageError
@@ -35,11 +35,10 @@ from ..exploration.planner_interface import find_planner, is_built_in
 from ..exploration.world import check_cells
 from ..io.directory import check_target
 from ..io.kept import kept_parts, part
+from ..report.exploration import write_exploration
+from ..report.laser_exploration import write_laser_exploration
 from ..report.result import ResultBase, Rows
-
-if TYPE_CHECKING:
-    from ..report.style import Target
-
+from ..report.style import Target
 
 Score = TypeVar("Score", bound=RunScore)
 Record = TypeVar("Record")
@@ -209,12 +208,11 @@ class LaserExploration(ResultBase, LaserExploreResult):
     def write_into(self, folder: Path) -> None:
         """runs.csv, metrics.json, the first run's logs, map and figures, report.html."""
         from ..io.exploration import write_laser_runs  # noqa: PLC0415
-        from ..report.laser_exploration import write_laser_exploration  # noqa: PLC0415  (figures cost a second)
 
         write_laser_runs(folder, self.runs, self.metrics, self.first)
         write_laser_exploration(folder, self)
 
-    def draw(self, target: "Target") -> None:
+    def draw(self, target: Target) -> None:
         from ..report.exploration import laser_exploration_scene  # noqa: PLC0415
 
         laser_exploration_scene(self.first).draw(target)
@@ -318,12 +316,11 @@ class LandmarkExploration(ResultBase, ExploreResult):
     def write_into(self, folder: Path) -> None:
         """runs.csv, metrics.json, the first run's log and figures, report.html."""
         from ..io.exploration import write_runs  # noqa: PLC0415
-        from ..report.exploration import write_exploration  # noqa: PLC0415  (figures cost a second)
 
         write_runs(folder, self.runs, self.metrics, self.first)
         write_exploration(folder, self)
 
-    def draw(self, target: "Target") -> None:
+    def draw(self, target: Target) -> None:
         from ..report.exploration import landmark_scene  # noqa: PLC0415
 
         landmark_scene(self.first, self.mission.cfg).draw(target)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..core.config import load
 from ..core.errors import ConfigError, DataError, UsageError
@@ -40,6 +40,8 @@ from ..live.transport import LISTENING, Network, is_open, session, told_on
 from ..live.view import Board, served
 from ..mapping.config import LaserConfig
 from ..report.result import ResultBase
+from ..report.small_pages import draw_messages, write_small_page
+from ..report.style import Target
 from .laser_result import LaserResult, starts_among
 from .live_mixed import join_apart
 from .live_ros2 import RosOptions, drive_ros2
@@ -49,9 +51,6 @@ from .map_laser import map_logs as map_lasers
 from .map_mixed import MixedMapConfig, MixedResult, map_mixed_logs
 from .map_options import MapOptions
 from .team import TeamResult
-
-if TYPE_CHECKING:
-    from ..report.style import Target
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -87,16 +86,12 @@ class LiveRobot(ResultBase):
         unused = [f"not used by map process {name}: {why}" for name, why in self.unused.items()]
         return [sent, heard if self.heard_by else "no map process has all of them yet", *unused]
 
-    def draw(self, target: "Target") -> None:
+    def draw(self, target: Target) -> None:
         """How much it told, message by message."""
-        from ..report.small_pages import draw_messages  # noqa: PLC0415  (figures cost half a second)
-
         draw_messages(target, self.sizes, self.heard_by)
 
     def write_into(self, folder: Path) -> None:
         """metrics.json, report.html and its picture; the messages themselves stay in the history."""
-        from ..report.small_pages import write_small_page  # noqa: PLC0415  (figures cost half a second)
-
         png = folder / "figures" / "messages.png"
         self.draw(png)
         write_small_page(folder, "What a robot told its team", self.lines(), self.headline(), png)

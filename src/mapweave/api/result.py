@@ -15,6 +15,7 @@ from ..core.version import __version__
 from ..io.directory import MARKERS, plain, read_json, result_file, write_json
 from ..io.saved_result import read_result
 from ..report.result import ResultBase, Rows
+from ..report.score import add_score, write_score_report
 
 if TYPE_CHECKING:
     from ..report.style import Axes, Figure
@@ -100,15 +101,11 @@ class EvaluationBase(ResultBase):
         metrics, report = folder / "metrics.json", folder / "report.html"
         held = read_json(metrics)
         if report.is_file():
-            from ..report.score import add_score  # noqa: PLC0415  (figures cost half a second)
-
             add_score(report, [p.name for p in truth], self.lines(), self.headline()[1], self.draw, self.as_json())
         with result_file(metrics) as work:
             write_json(work, {**held, "evaluation": self.as_json()})
 
     def write_into(self, folder: Path) -> None:
-        from ..report.score import write_score_report  # noqa: PLC0415  (figures cost half a second)
-
         write_score_report(folder, self.lines(), self.headline()[1], self.draw)
         write_json(folder / "metrics.json", self.metrics)
 

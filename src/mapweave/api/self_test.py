@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,6 +14,8 @@ from ..core.version import __version__
 from ..core.workers import Progress, no_progress
 from ..io.directory import write_json
 from ..report.result import ResultBase, Rows
+from ..report.small_pages import draw_checks, write_small_page
+from ..report.style import Target
 from ..sim.laser_worlds import OfficeConfig
 from ..sim.swarm import SwarmScene
 from .evaluate import evaluate
@@ -22,9 +24,6 @@ from .locate import locate
 from .map import map as map_logs
 from .result import load
 from .simulate import simulate_landmarks, simulate_laser, simulate_swarm
-
-if TYPE_CHECKING:
-    from ..report.style import Target
 
 LANDMARKS_WITHIN, SCANS_WITHIN = 0.2, 0.15  # [m] from the truth that small simulated teams and drives come
 
@@ -61,16 +60,12 @@ class SelfTest(ResultBase):
     def headline(self) -> Rows:
         return ("job", "found", "good"), [(t.name, t.found, "yes" if t.good else "no") for t in self.trials]
 
-    def draw(self, target: "Target") -> None:
+    def draw(self, target: Target) -> None:
         """Every trial, how it came out, and how long it took."""
-        from ..report.small_pages import draw_checks  # noqa: PLC0415  (figures cost half a second)
-
         draw_checks(target, self.trials, list(self.timing.items()))
 
     def write_into(self, folder: Path) -> None:
         """metrics.json, report.html and its picture."""
-        from ..report.small_pages import write_small_page  # noqa: PLC0415  (figures cost half a second)
-
         png = folder / "figures" / "trials.png"
         self.draw(png)
         write_small_page(folder, "Every kind of job, tried", self.lines(), self.headline(), png)

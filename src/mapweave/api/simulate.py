@@ -3,7 +3,7 @@
 from collections import Counter
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -22,6 +22,8 @@ from ..io.sightings import write_sightings
 from ..io.table import write_table
 from ..io.tum import write_tum
 from ..report.result import ResultBase, Rows
+from ..report.small_pages import draw_world
+from ..report.style import Target
 from ..sim.landmarks import TeamWorld
 from ..sim.landmarks import simulate_team as drive_team
 from ..sim.laser import LaserSimulation, placed, simulated_fixes, stream
@@ -37,9 +39,6 @@ from ..sim.mixed_team import MixedRecording, MixedWorld, simulate_mixed
 from ..sim.swarm import Swarm, SwarmScene
 from ..sim.swarm import simulate_swarm as simulate
 from ..team.robot_part import PARAMETERS
-
-if TYPE_CHECKING:
-    from ..report.style import Target
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -63,7 +62,7 @@ class SimulatedTeam(ResultBase, TeamRecording):
         rows = [(r.number, len(r.odometry), len(r.stamps), _driven(r.truth[:, 1:3])) for r in self.robots]
         return head, rows
 
-    def draw(self, target: "Target") -> None:
+    def draw(self, target: Target) -> None:
         """The landmarks and the true trajectories."""
         ways = {f"robot {r.number}": r.truth[:, 1:3] for r in self.robots}
         _draw(target, "the simulated team", ways, np.array(list(self.landmarks.values())).reshape(-1, 2))
@@ -170,7 +169,7 @@ class SimulatedDrive(ResultBase, LaserSimulation):
         m = self.metrics
         return [f"{m['scans']} scans over {m['driven_m']:.0f} m, {m['stamps']} stamps, seed {self.seed}"]
 
-    def draw(self, target: "Target") -> None:
+    def draw(self, target: Target) -> None:
         """The walls and the true trajectory."""
         walls = self.world.segments.reshape(-1, 4)
         _draw(target, "the simulated drive", {"true way": self.truth.pose[:, :2]}, walls=walls)
@@ -305,7 +304,7 @@ class SimulatedSwarm(ResultBase, Swarm):
         sigma = f"{np.degrees(s.sigma):.4g} deg"
         return [f"{s.robots} robots in {s.dim}D, {len(self.table.observer)} sightings, sigma {sigma}, seed {self.seed}"]
 
-    def draw(self, target: "Target") -> None:
+    def draw(self, target: Target) -> None:
         """Where the robots are at first, and who sees whom."""
         pairs = zip(self.table.observer.tolist(), self.table.target.tolist(), strict=True)
         _draw(target, "the simulated swarm", {}, self.position[0, :, :2], pairs=list(pairs))
@@ -425,7 +424,7 @@ class SimulatedMixedTeam(ResultBase, MixedRecording):
         ]
         return ("robot", "kind", "sightings", "scans", "driven [m]"), rows
 
-    def draw(self, target: "Target") -> None:
+    def draw(self, target: Target) -> None:
         """Walls, landmarks and the true trajectories."""
         ways = {f"robot {r.number}, {r.kind}": r.truth.pose[:, :2] for r in self.robots}
         points = np.array(list(self.landmarks.values())).reshape(-1, 2)
@@ -579,6 +578,4 @@ def _driven(way: np.ndarray) -> float:
 
 
 def _draw(*world: Any, **parts: Any) -> None:
-    from ..report.small_pages import draw_world  # noqa: PLC0415  (figures cost half a second)
-
     draw_world(*world, **parts)

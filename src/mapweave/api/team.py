@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -31,15 +31,13 @@ from ..landmarks.mapping import Growth
 from ..mapping.woven_map import Georeference
 from ..report.html import told_list
 from ..report.result import ResultBase, Rows
-from ..report.team import write_team_report
+from ..report.style import Target
+from ..report.team import team_scene, write_team_report
 from ..report.team_figures import TeamStory
 from ..team.online import OnlineMap, OnlineRun
 from ..team.smooth import Smoothed
 from ..team.team_map import TeamMap
 from .evaluate import TeamTruth, read_team_truth, team_lines, unscored
-
-if TYPE_CHECKING:
-    from ..report.style import Target
 
 
 def times_of(logs: Sequence[LandmarkLog], every: float) -> list[float]:
@@ -233,10 +231,8 @@ class TeamResult(ResultBase):
     def _component(self, robot: str) -> int | None:
         return next((k for k, team in enumerate(self.maps, 1) if robot in team.robots), None)
 
-    def draw(self, target: "Target") -> None:
+    def draw(self, target: Target) -> None:
         """The fused map with its robots' trajectories."""
-        from ..report.team import team_scene  # noqa: PLC0415  (figures cost half a second)
-
         team_scene(self.story, self.maps[0]).draw(target)
 
     def write_into(self, folder: Path) -> None:

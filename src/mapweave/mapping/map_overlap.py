@@ -121,7 +121,7 @@ class KeyframeMap:
         home = [-p / np.maximum(np.hypot(*p.T), 1e-9)[:, None] for p in self.points]
         back = [u @ se2.rotation(float(pose[2])).T for u, pose in zip(home, self.pose, strict=True)]
         seen = [self.cloud(COARSE_POINTS, [u[:, k] for u in back])[1] for k in range(2)]
-        lines = fit_normals(self.walls, WALL_LINE)
+        lines = fit_normals(frozen(self.walls), WALL_LINE)
         facing = sum(lines[:, k] * np.asarray(seen[k]) for k in range(2))
         sided = (np.abs(facing) > SIDED) & (lines[:, 2] < WALL_THICK)
         return np.asarray(lines[:, :2] * (np.sign(facing) * sided)[:, None])
@@ -205,7 +205,7 @@ def _judged(
     near = np.flatnonzero(around > FEW)
     near = near[spread(len(near), a.asked)]
     args = VIEW_REACH, SAME_WALL, SAME_WALL_SHARE, VIEW_THROUGH, SIDED
-    return judge_walls(a.pose[near], a.views[near], np.ascontiguousarray(walls), np.ascontiguousarray(side), *args)
+    return judge_walls(a.pose[near], a.views[near], frozen(walls), frozen(side), *args)
 
 
 def lit_alike(a: KeyframeMap, b: KeyframeMap, transform: Float[np.ndarray, "3"]) -> float | None:

@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 
 from ..core import se2
 from ..core.gaussian import symmetrise
+from ..core.records import frozen
 from ..kernels.laser.place_refine import lay_onto_lines
 from ..kernels.laser.place_search import FULL, stamp
 from ..kernels.mapping.places import (
@@ -238,7 +239,7 @@ class PlaceIndex:
     ) -> PlaceMatch:
         """A place that was found, laid onto the walls. row: of `search_submaps`; lies: where light puts it instead."""
         points, lit = self.submaps[k].points, place.q is not None
-        start = row[:3].copy() if lies is None else lies[0]
+        start = frozen(row[:3] if lies is None else lies[0])
         pose, H, _, mean2 = lay_onto_lines(
             points,
             start,

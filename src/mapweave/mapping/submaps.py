@@ -118,7 +118,7 @@ def signature(points: Float[np.ndarray, "n 2"], facing: Float[np.ndarray, "n 2"]
 
     facing: towards where each was seen from, of any length.
     """
-    lines = fit_normals(points, LINE)
+    lines = fit_normals(frozen(points), LINE)
     side = np.where((lines[:, :2] * facing).sum(axis=1) < 0.0, -1.0, 1.0)
     at = np.arctan2(side * lines[:, 1], side * lines[:, 0]) / (2.0 * np.pi) * BINS % BINS
     low, weight = np.floor(at).astype(np.int64), np.square(1.0 - np.clip(lines[:, 2], 0.0, 1.0))

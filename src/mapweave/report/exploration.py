@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import LineCollection
 from PIL import Image
 from scipy.spatial import ConvexHull, QhullError
 
@@ -21,7 +19,7 @@ from ..kernels.walls.segments import Raster, Sector
 from ..kernels.walls.sight import mark_in_sight
 from .html import Page
 from .scene import Scene
-from .style import MUTED, PALETTE, SEQUENTIAL, TRUTH, Sheet, as_map, colour, figure, marker
+from .style import MUTED, PALETTE, SEQUENTIAL, TRUTH, Sheet, as_map, colour, draw_lines, figure, marker, rendered
 
 BORDERS = "submaps as they were handed over"
 MAPPED, FRAME, REFUSED, WALL = PALETTE[5], "#9AA0A6", PALETTE[5], PALETTE[5]
@@ -271,15 +269,6 @@ def save_gif(path: Path, frames: list[Image.Image], kept: tuple[str, ...] = ()) 
     small[0].save(path, save_all=True, append_images=small[1:], duration=140, loop=0, optimize=True)
 
 
-def rendered(fig: Any, dpi: int = 80) -> Image.Image:
-    """The figure as it is now: the first frame of an animation lays it out, the others keep that layout."""
-    canvas: Any = FigureCanvasAgg(fig)
-    fig.set_dpi(dpi)
-    canvas.draw()
-    fig.set_layout_engine("none")
-    return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
-
-
 def _field(ax: Any, run: LandmarkRunRecord) -> None:
     (x0, y0), (x1, y1) = run.world.lower, run.world.upper
     ax.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color=MUTED, lw=1)
@@ -288,9 +277,7 @@ def _field(ax: Any, run: LandmarkRunRecord) -> None:
         shade = np.ma.masked_where(run.floor.field, np.ones((rows, cols)))
         extent = (x0, x0 + cols * run.floor.cell, y0, y0 + rows * run.floor.cell)
         ax.imshow(shade, origin="lower", extent=extent, cmap="Greys", vmin=0, vmax=4, interpolation="nearest", zorder=1)
-        ax.add_collection(
-            LineCollection(list(run.floor.walls.segments.reshape(-1, 2, 2)), colors=TRUTH, linewidths=1.2, zorder=2)
-        )
+        draw_lines(ax, run.floor.walls.segments.reshape(-1, 2, 2), TRUTH, 1.2, zorder=2)
     as_map(ax)
     ax.set_aspect("equal", adjustable="box")
     ax.set(xlim=(x0 - 2, x1 + 2), ylim=(y0 - 2, y1 + 2))

@@ -6,8 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.collections import LineCollection
-from matplotlib.colors import ListedColormap
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
@@ -15,11 +13,24 @@ from ..core.walls import Walls
 from ..exploration.laser.config import WALL_TOLERANCE
 from ..exploration.laser.experiment import LaserExploreResult, LaserRunRecord, MapSnapshot, refusals
 from ..laser.occupancy import Occupancy
-from .exploration import laser_exploration_scene, rendered, save_gif, seeds_told
+from .exploration import laser_exploration_scene, save_gif, seeds_told
 from .html import Page
-from .style import MARKERS, PALETTE, SEQUENTIAL, TRUTH, Sheet, as_map, colour, figure, marker
+from .style import (
+    MARKERS,
+    PALETTE,
+    SEQUENTIAL,
+    TRUTH,
+    Sheet,
+    as_map,
+    colour,
+    draw_lines,
+    figure,
+    marker,
+    rendered,
+    shades,
+)
 
-SHADES = ListedColormap(["#DADDE1", "#FFFFFF", "#3C4043"])  # unknown, free, occupied
+SHADES = ("#DADDE1", "#FFFFFF", "#3C4043")  # unknown, free, occupied
 WALL = "#D55E00"
 FRONTIER = "#E69F00"
 FEW_SNAPSHOTS = 60
@@ -57,7 +68,7 @@ def draw_explored(path: Path, run: LaserRunRecord) -> None:
         shown = ax.imshow(image, origin="lower", extent=extent, cmap=SEQUENTIAL, interpolation="nearest")
         never = np.full((rows, cols), np.nan)
         never[run.building.reached & np.isnan(image)] = 1.0
-        ax.imshow(never, origin="lower", extent=extent, cmap=ListedColormap([WALL]), interpolation="nearest", zorder=2)
+        ax.imshow(never, origin="lower", extent=extent, cmap=shades([WALL]), interpolation="nearest", zorder=2)
         left = int(np.isnan(run.seen_at).sum())
         if left:
             ax.plot([], [], "s", color=WALL, label=f"never mapped ({left * h * h:.1f} m²)")
@@ -168,14 +179,12 @@ def _occupancy(ax: Any, grid: Occupancy) -> Any:
     (x, y), h = grid.origin, grid.resolution
     ax.grid(visible=False)
     extent = (x, x + cols * h, y, y + rows * h)
-    return ax.imshow(
-        grid.state + 1, cmap=SHADES, vmin=0, vmax=2, extent=extent, origin="lower", interpolation="nearest", zorder=1
-    )
+    look = {"extent": extent, "origin": "lower", "interpolation": "nearest", "zorder": 1}
+    return ax.imshow(grid.state + 1, cmap=shades(SHADES), vmin=0, vmax=2, **look)
 
 
 def _walls(ax: Any, run: LaserRunRecord, width: float, label: str | None = None, shade: str = WALL) -> None:
-    lines = list(run.place.world.segments.reshape(-1, 2, 2))
-    ax.add_collection(LineCollection(lines, colors=shade, lw=width, zorder=2, label=label))
+    draw_lines(ax, run.place.world.segments.reshape(-1, 2, 2), shade, width, zorder=2, label=label)
 
 
 def _frame(ax: Any, run: LaserRunRecord) -> None:

@@ -13,12 +13,10 @@ from ..core.signatures import readable
 from ..io.directory import result_directory
 from ..io.saved_result import write_result
 from .html import list_files
+from .style import drawn, png
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from .style import Target
+    from .style import Axes, Figure, Target
 
 Rows = tuple[Sequence[str], Sequence[Sequence[object]]]
 MOST_LINES, MOST_ROWS, MOST_LETTERS = 8, 12, 240  # of a page's head
@@ -86,14 +84,10 @@ class ResultBase(ABC):
 
         Raises UsageError for a picture of several parts, which needs a figure of its own.
         """
-        from .style import drawn  # noqa: PLC0415  (figures cost half a second; only pictures need them)
-
         return drawn(self.draw, ax)
 
     def _repr_html_(self) -> str:
         """The head of a page for notebooks: what `summary` says, the main picture and the table that tells the most."""
-        from .style import png  # noqa: PLC0415
-
         picture = b64encode(png(self.draw, MOST_PICTURE)).decode("ascii")
         lines = self.lines()
         text = "<br>".join(escape(_cut(line)) for line in lines[:MOST_LINES])

@@ -12,12 +12,10 @@ from functools import cache
 from html import escape
 from importlib.resources import files
 from io import BytesIO
-from typing import Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from matplotlib.collections import EllipseCollection, LineCollection
-from matplotlib.colors import ListedColormap
 from PIL import Image
 
 from ..core.findings import Finding
@@ -28,7 +26,23 @@ from ..core.se2 import interpolate
 from ..core.viewport import viewport
 from ..landmarks.landmark_map import LandmarkMap
 from ..team.team_map import TeamMap
-from .style import LANDMARK, SEQUENTIAL, Axes, Target, as_map, figure, gaps, larger, legend_beside, name_points
+from .style import (
+    LANDMARK,
+    SEQUENTIAL,
+    Target,
+    as_map,
+    draw_ellipses,
+    draw_lines,
+    figure,
+    gaps,
+    larger,
+    legend_beside,
+    name_points,
+    shades,
+)
+
+if TYPE_CHECKING:
+    from .style import Axes
 
 MOST_POSES = 800  # of a trajectory: enough to draw it and to point at
 MOST_OF_ALL = 40_000  # poses of all trajectories of a page, and lines of a layer: about 3 MB of either
@@ -40,7 +54,7 @@ LEVELS = 254  # steps of time in which cells become known; one more is never
 
 
 SHAPES = {"dot": "o", "ring": "o", "star": "*", "cross": "X", "triangle": "^"}  # Matplotlib's markers
-CELLS = ListedColormap(["#DBDBDB", "#FFFFFF", "#24292F"])  # of unknown, free and wall in a picture
+CELLS = ("#DBDBDB", "#FFFFFF", "#24292F")  # of unknown, free and wall in a picture
 MOST_NAMED = 60  # points of a layer from which names would cover a picture
 ELLIPSE_AT_MOST = 1e3  # times the points' span that a half axis is drawn: more looks the same, and takes for ever
 WIDER = 0.15  # of its longer side that a picture grows by at most at each, to show ellipses whole
@@ -222,17 +236,18 @@ class Scene:
             for ax, scene, off in zip(axes[0], scenes, left, strict=True):
                 scene._draw_on(ax, off)  # noqa: SLF001  (one of our own)
 
-    def _draw_on(self, ax: Axes, hidden: Container[str]) -> None:
+    def _draw_on(self, ax: "Axes", hidden: Container[str]) -> None:
         x0, x1, y0, y1 = self._extent(hidden)
         room = 0.04 * max(x1 - x0, y1 - y0, 1e-9)
         ax.set(xlim=(x0 - room, x1 + room), ylim=(y0 - room, y1 + room))
         if self._cells is not None:
             kind, extent = self._cells
-            ax.imshow(kind, CELLS, vmin=0, vmax=2, extent=extent, origin="lower", interpolation="nearest", zorder=0)
+            look: Any = {"extent": extent, "origin": "lower", "interpolation": "nearest", "zorder": 0}
+            ax.imshow(kind, shades(CELLS), vmin=0, vmax=2, **look)
             ax.grid(visible=False)
         for one in (line for line in self._lines if line["layer"] not in hidden):
-            ends, dash = list(np.reshape(one["segments"], (-1, 2, 2))), ":" if one["dashed"] else "-"
-            ax.add_collection(LineCollection(ends, colors=one["colour"], lw=0.8, linestyles=dash, label=one["layer"]))
+            ends, dash = np.reshape(one["segments"], (-1, 2, 2)), ":" if one["dashed"] else "-"
+            draw_lines(ax, ends, one["colour"], 0.8, linestyles=dash, label=one["layer"])
         for one in (track for track in self._tracks if track["layer"] not in hidden):
             way = np.column_stack([one["x"], one["y"]])
             if one["t"]:
@@ -248,7 +263,7 @@ class Scene:
         ax.set(xlabel=f"{first} [{unit.removeprefix('in ')}]", ylabel=f"{second} [{unit.removeprefix('in ')}]")
         legend_beside(ax, 20)
 
-    def _draw_points(self, ax: Axes, one: Mapping[str, Any]) -> None:
+    def _draw_points(self, ax: "Axes", one: Mapping[str, Any]) -> None:
         at, sd, tint = np.column_stack([one["x"], one["y"]]), one["sd"], one["colour"]
         if len(at) > FEW_POINTS and sd is not None:
             shade = [np.nan if v is None else v for v in sd]
@@ -263,8 +278,7 @@ class Scene:
             grow = larger(float(np.median(a)), span * min(0.035, 0.15 / np.sqrt(len(at))))
             a, b = (np.minimum(axis, ELLIPSE_AT_MOST * span) for axis in (a, b)) if span else (a, b)
             look: Any = {"facecolors": "none", "edgecolors": tint, "linewidths": 0.8, "zorder": 3}
-            axes = (2 * grow * a, 2 * grow * b, np.degrees(angle))
-            ax.add_collection(EllipseCollection(*axes, units="xy", offsets=at, offset_transform=ax.transData, **look))
+            draw_ellipses(ax, at, grow * np.array([a, b]), angle, **look)
             c, s = np.cos(angle), np.sin(angle)
             reach = grow * np.column_stack([np.hypot(a * c, b * s), np.hypot(a * s, b * c)])
             _widen(ax, (at - reach).min(axis=0), (at + reach).max(axis=0))
@@ -306,7 +320,7 @@ def _fewer_lines(line: dict[str, Any]) -> dict[str, Any]:
     return {**line, **{name: [line[name][i] for i in at] for name in ("segments", "texts") if line[name]}}
 
 
-def _widen(ax: Axes, low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"]) -> None:
+def _widen(ax: "Axes", low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"]) -> None:
     """The axes show what lies from `low` to `high` too, as far as they need not grow by much."""
     start, end = np.array([ax.get_xlim(), ax.get_ylim()]).T
     room, most = 0.01 * (end - start).max(), WIDER * (end - start).max()

@@ -15,7 +15,7 @@ from .scene import Scene, Shape, script
 from .style import LANDMARK, MUTED, TRUTH, Target, colour, figure
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+    from .style import Axes
 
 
 Check = tuple[str, str, bool | None]  # what is looked at, what was found; None: not there, and not needed

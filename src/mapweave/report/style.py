@@ -1,4 +1,8 @@
-"""How every figure looks: one palette for any colour vision, units on both axes, small files."""
+"""How every figure looks: one palette for any colour vision, units on both axes, small files.
+
+This module alone knows Matplotlib, and imports it where something is drawn: it costs half a second.
+"""
+# ruff: noqa: PLC0415
 
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -8,21 +12,18 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import matplotlib as mpl
 import numpy as np
 from jaxtyping import Float, Int
-from matplotlib.axes import Axes as Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure as Figure
-from matplotlib.figure import SubFigure
-from matplotlib.patches import Ellipse
-from matplotlib.text import Annotation
-from matplotlib.ticker import FuncFormatter
+from PIL import Image
 
 from ..core.errors import UsageError
 from ..core.gaussian import ellipse
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes as Axes
+    from matplotlib.colors import Colormap
+    from matplotlib.figure import Figure as Figure
+    from matplotlib.figure import SubFigure
     from matplotlib.transforms import Bbox
 
 # Okabe and Ito's palette, told apart with any colour vision; black is kept for truth, and brown stands where they have
@@ -94,8 +95,8 @@ def marker(k: int) -> str:
 class Sheet:
     """Holds the figure that is drawn on it, where a path would take its file; on `ax` of another one, where given."""
 
-    figure: Figure | SubFigure | None = None
-    ax: Axes | None = None
+    figure: "Figure | SubFigure | None" = None
+    ax: "Axes | None" = None
 
 
 Target = Path | Sheet
@@ -107,6 +108,10 @@ def figure(path: Target, width: float = 7.0, height: float = 5.0, **layout: Any)
 
     A letter of a robot's name that the font lacks is a box in the picture, and no warning: the report's page shows it.
     """
+    import matplotlib as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     with mpl.rc_context(_RC), warnings.catch_warnings():
         warnings.filterwarnings("ignore", GLYPH, UserWarning)
         if isinstance(path, Sheet) and path.ax is not None:
@@ -127,19 +132,21 @@ def figure(path: Target, width: float = 7.0, height: float = 5.0, **layout: Any)
         save(fig, path)
 
 
-def save(fig: Figure, path: Path) -> None:
+def save(fig: "Figure", path: Path) -> None:
     """A figure in which all is drawn becomes a PNG without a program's name."""
     _finish(fig)
     fig.savefig(path, dpi=DPI, metadata={"Software": None})
 
 
-def _finish(fig: Figure) -> None:
+def _finish(fig: "Figure") -> None:
     _plain_log_ticks(fig)
     _keep_names_apart(fig)
 
 
-def _plain_log_ticks(fig: Figure) -> None:
+def _plain_log_ticks(fig: "Figure") -> None:
     """Logarithmic axes say 0.02 and 500; between powers of ten only where the axis spans less than two of them."""
+    from matplotlib.ticker import FuncFormatter
+
     for ax in fig.axes:
         for axis, (low, high) in ((ax.xaxis, ax.get_xlim()), (ax.yaxis, ax.get_ylim())):
             if axis.get_scale() != "log":
@@ -155,7 +162,7 @@ def _between_powers(value: float) -> str:
     return f"{value:g}" if digit in {2, 5} else ""
 
 
-def name_points(ax: Axes, names: Sequence[str], places: Float[np.ndarray, "n 2"], size: float = 8) -> None:
+def name_points(ax: "Axes", names: Sequence[str], places: Float[np.ndarray, "n 2"], size: float = 8) -> None:
     """Every name beside its point, where it covers no other in the finished figure; left out where there is no room."""
     for name, (x, y) in zip(names, places, strict=True):
         text = ax.annotate(
@@ -164,7 +171,9 @@ def name_points(ax: Axes, names: Sequence[str], places: Float[np.ndarray, "n 2"]
         text.set_in_layout(False)
 
 
-def _keep_names_apart(fig: Figure) -> None:
+def _keep_names_apart(fig: "Figure") -> None:
+    from matplotlib.text import Annotation
+
     names = [t for ax in fig.axes for t in ax.texts if t.get_gid() == NAME and isinstance(t, Annotation)]
     if len(names) < 2:
         return
@@ -182,8 +191,10 @@ def _keep_names_apart(fig: Figure) -> None:
             text.set_visible(False)
 
 
-def drawn(draw: Callable[[Sheet], object], ax: Axes | None = None) -> Figure:
+def drawn(draw: Callable[[Sheet], object], ax: "Axes | None" = None) -> "Figure":
     """The figure that `draw` draws, saved nowhere; the one of `ax`, where it is to be drawn there."""
+    from matplotlib.figure import Figure
+
     sheet = Sheet(ax=ax)
     draw(sheet)
     if sheet.figure is None:
@@ -205,7 +216,7 @@ def png(draw: Callable[[Sheet], object], most: int) -> bytes:
     return data
 
 
-def as_map(ax: Axes, title: str = "", unit: str = "m") -> None:
+def as_map(ax: "Axes", title: str = "", unit: str = "m") -> None:
     """Equal axes, named with their unit."""
     ax.set_aspect("equal", adjustable="datalim")
     ax.set_xlabel(f"x [{unit}]")
@@ -215,7 +226,7 @@ def as_map(ax: Axes, title: str = "", unit: str = "m") -> None:
 
 
 def draw_ellipse(
-    ax: Axes,
+    ax: "Axes",
     mean: Float[np.ndarray, "2"],
     cov: Float[np.ndarray, "2 2"],
     color: str,
@@ -223,6 +234,8 @@ def draw_ellipse(
     **more: Any,
 ) -> None:
     """The 95 % region of a 2D Gaussian, its half axes times `scale`."""
+    from matplotlib.patches import Ellipse
+
     a, b, angle = ellipse(cov)
     ax.add_patch(
         Ellipse(
@@ -238,7 +251,46 @@ def draw_ellipse(
     )
 
 
-def legend_beside(ax: Axes, rows: int, title: str | None = None) -> None:
+def draw_ellipses(
+    ax: "Axes",
+    at: Float[np.ndarray, "n 2"],
+    half: Float[np.ndarray, "2 n"],
+    angle: Float[np.ndarray, " n"],
+    **look: Any,
+) -> None:
+    """Ellipses about `at`, of such half axes, the first of which is turned by `angle` [rad] from the axis x."""
+    from matplotlib.collections import EllipseCollection
+
+    axes = (2 * half[0], 2 * half[1], np.degrees(angle))
+    ax.add_collection(EllipseCollection(*axes, units="xy", offsets=at, offset_transform=ax.transData, **look))
+
+
+def draw_lines(ax: "Axes", ends: Float[np.ndarray, "n 2 2"], colour: str, width: float, **look: Any) -> None:
+    """A line between every two `ends`."""
+    from matplotlib.collections import LineCollection
+
+    ax.add_collection(LineCollection(list(ends), colors=colour, linewidths=width, **look))
+
+
+def shades(colours: Sequence[str]) -> "Colormap":
+    """The colours of cells that are 0, 1 and so on."""
+    from matplotlib.colors import ListedColormap
+
+    return ListedColormap(list(colours))
+
+
+def rendered(fig: "Figure", dpi: int = 80) -> Image.Image:
+    """The figure as it is now: the first frame of an animation lays it out, the others keep that layout."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    canvas: Any = FigureCanvasAgg(fig)
+    fig.set_dpi(dpi)
+    canvas.draw()
+    fig.set_layout_engine("none")
+    return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+
+
+def legend_beside(ax: "Axes", rows: int, title: str | None = None) -> None:
     """A legend right of the axes, each name once, in columns of `rows`; none of so many that colours come again."""
     named: dict[str, Any] = {}
     for handle, name in zip(*ax.get_legend_handles_labels(), strict=True):

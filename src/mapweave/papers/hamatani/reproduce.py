@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -15,7 +15,7 @@ from ...core.workers import Progress, no_progress, one_blas_thread
 from ...io.directory import check_target
 from ...io.kept import kept_parts, part
 from ...report.result import Rows
-from ...report.style import MUTED, TRUTH, Axes, Target, as_map, colour, figure
+from ...report.style import MUTED, TRUTH, Target, as_map, colour, figure
 from ...swarm.locate import locate
 from ..reproduction import Check, Claim, Drawing, Numbers, Reproduction, Rule, Section, question, rule, sentences
 from .experiments import (
@@ -32,6 +32,9 @@ from .experiments import (
     side_error,
     sightings,
 )
+
+if TYPE_CHECKING:
+    from ...report.style import Axes
 
 PRINTED: dict[int, dict[tuple[float, float], float]] = {  # by table: (variance of guess, of bearings) -> error
     1: {
@@ -240,7 +243,7 @@ def worst(x: np.ndarray, truth: np.ndarray) -> float:
     return float(np.linalg.norm(x - truth, axis=1).max())
 
 
-def _outline(ax: Axes, truth: np.ndarray, x: np.ndarray) -> None:
+def _outline(ax: "Axes", truth: np.ndarray, x: np.ndarray) -> None:
     """The true outline, scaled and moved onto `x`."""
     a, b = truth - truth.mean(axis=0), x - x.mean(axis=0)
     fitted = x.mean(axis=0) + (a * b).sum() / (a * a).sum() * a

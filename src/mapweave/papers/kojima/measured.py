@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -14,10 +14,13 @@ from ...fusion.identities import IDENTITY_CHANCE, IdentityConfig, match_maps
 from ...fusion.relative_information import Weights
 from ...landmarks.landmark_map import LandmarkMap
 from ...report.result import Rows
-from ...report.style import MUTED, TRUTH, Axes, Target, as_map, colour, draw_ellipse, figure, marker
+from ...report.style import MUTED, TRUTH, Target, as_map, colour, draw_ellipse, figure, marker
 from ..reproduction import Numbers
 from .experiments import Rule, Run, Settling, Unequal
 from .world import SEEN, KojimaConfig, LocalMaps, Worlds
+
+if TYPE_CHECKING:
+    from ...report.style import Axes
 
 POINTS, SIZE, SIGMA = 20, 3.0, 0.01  # landmarks a map, side of the square [m], deviation [m]
 RIGHT = 0.15  # [m] every landmark must lie within, for an alignment to be right
@@ -322,14 +325,14 @@ def draw_global_map(path: Target, p: FigureData) -> None:
         ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
 
-def _circle(ax: Axes, start: Float[np.ndarray, "3"], radius: float, color: str, name: str) -> None:
+def _circle(ax: "Axes", start: Float[np.ndarray, "3"], radius: float, color: str, name: str) -> None:
     turn = np.linspace(0, 2 * np.pi, 200)
     centre = se2.act(start, np.array([0.0, radius]))
     ring = centre + abs(radius) * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     ax.plot(*ring.T, color=color, linewidth=0.9, label=name)
 
 
-def _arrow(ax: Axes, pose: Float[np.ndarray, "3"], color: str) -> None:
+def _arrow(ax: "Axes", pose: Float[np.ndarray, "3"], color: str) -> None:
     tip = se2.act(pose, np.array([0.12, 0.0]))
     ax.annotate("", xy=(tip[0], tip[1]), xytext=(pose[0], pose[1]), arrowprops={"arrowstyle": "->", "color": color})
 
