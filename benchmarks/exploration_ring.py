@@ -8,13 +8,15 @@ The ring and the drives are those of the tests of the team's estimator (`tests/l
 import argparse
 import sys
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # the ring is that of the tests
 
 from tests.laser.buildings import drive, errors, estimate, lap, ring, wall_distance
-from tests.laser.test_laser_team import NO_LOOPS
+
+from mapweave.mapping import laser_team
 
 
 def main() -> None:
@@ -25,8 +27,9 @@ def main() -> None:
     told: dict[str, list[tuple[float, float, float]]] = {"closed": [], "not closed": []}
     for seed in range(drives):
         run = drive(ring(seed=seed), [(*there[0], 0.0), (*back[0], np.pi)], [there[1:], back[1:]], seed)
-        for name, cfg in zip(told, (None, NO_LOOPS), strict=True):
-            team = estimate(run, cfg)
+        for name, tries in zip(told, (laser_team.CLOSURE_TRIES, 0), strict=True):
+            with patch.object(laser_team, "CLOSURE_TRIES", tries):
+                team = estimate(run)
             e, nees = errors(team, run)
             told[name].append(
                 (float(np.sqrt(np.mean(e[:, 0] ** 2 + e[:, 1] ** 2))), float(wall_distance(team, run).mean()), nees)

@@ -585,7 +585,7 @@ ONCE_LET_PASS: tuple[Named, ...] = (
     ),
     Named(
         "mapping:LoopSearch",
-        "near &= (robot != node.robot) | (graph.path[:n] < node.path - c.far)",
+        "near &= (robot != node.robot) | (graph.path[:n] < node.path - CLOSURE_FAR)",
         "near &= robot == robot",
         CLOSURES,
     ),

@@ -6,7 +6,7 @@ from mapweave.core.config import config
 from mapweave.core.errors import ReaderError
 from mapweave.exploration.laser.config import LaserExploreConfig
 from mapweave.io.saved_result import read_result, write_result
-from mapweave.laser.closures import ClosureConfig
+from mapweave.mapping.known_places import KnownPlacesConfig
 
 
 def called(cls, like, name=None):
@@ -21,8 +21,8 @@ class OldTable:
 
 
 @config
-class OldClosures(ClosureConfig):
-    trust: float = 2.0
+class OldPlaces(KnownPlacesConfig):
+    near: float = 2.0
 
 
 @config
@@ -32,7 +32,7 @@ class OldPlan(LaserExploreConfig):
 
 @pytest.mark.parametrize(
     ("old", "now", "given"),
-    [(OldClosures, ClosureConfig, {"far": 12.0}), (OldPlan, LaserExploreConfig, {"max_steps": 40})],
+    [(OldPlaces, KnownPlacesConfig, {"enough": 12}), (OldPlan, LaserExploreConfig, {"max_steps": 40})],
     ids=["key", "table"],
 )
 def test_a_result_whose_settings_became_constants_is_read_without_them(tmp_path, old, now, given):
@@ -42,11 +42,11 @@ def test_a_result_whose_settings_became_constants_is_read_without_them(tmp_path,
 
 def test_a_result_with_fields_that_never_were_settings_is_refused(tmp_path):
     @config
-    class Other(ClosureConfig):
+    class Other(KnownPlacesConfig):
         thrust: float = 2.0
 
-    write_result(tmp_path, called(Other, ClosureConfig)())
-    with pytest.raises(ReaderError, match=r"whose ClosureConfig is not this one's: make the result again$"):
+    write_result(tmp_path, called(Other, KnownPlacesConfig)())
+    with pytest.raises(ReaderError, match=r"whose KnownPlacesConfig is not this one's: make the result again$"):
         read_result(tmp_path)
 
 

@@ -1,7 +1,5 @@
 """Closures of a keyframe graph: when a match is believed, in whose frame its covariance stands, where one looks."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,6 @@ from mapweave.laser.closures import (
     CLOSURE_FLOOR,
     CLOSURE_GATE,
     CLOSURE_TRUST,
-    ClosureConfig,
     Matched,
     Place,
     PlaceMatcher,
@@ -25,8 +22,6 @@ from mapweave.mapping.keyframe_graph import KeyframeGraph, KeyframeGraphConfig
 from mapweave.mapping.laser_team import LoopSearch
 
 from ..differences import jacobian
-
-CFG = ClosureConfig()
 
 
 def room_scan(pose, n=240):
@@ -57,12 +52,10 @@ def narrow(xy=0.02, turn=0.01):
 
 def test_a_match_where_the_estimate_allows_it_is_believed_with_its_own_information(place):
     true = np.array([0.3, 0.2, 0.1])
-    match = PlaceMatcher(CFG, ALL_ROUND).match(
-        place, seen(true), np.add(true, [0.02, -0.02, 0.005]), narrow(0.05, 0.02)
-    )
+    match = PlaceMatcher(ALL_ROUND).match(place, seen(true), np.add(true, [0.02, -0.02, 0.005]), narrow(0.05, 0.02))
     assert match.accepted
     assert np.abs(se2.between(true, match.measured)).max() < 0.02
-    matcher = PlaceMatcher(CFG, ALL_ROUND)
+    matcher = PlaceMatcher(ALL_ROUND)
     matcher.front_end.hold(place.scans)
     lines = believed(matcher.front_end.information(seen(true), match.measured), CLOSURE_TRUST, CLOSURE_BLUR)
     floor = np.diag(CLOSURE_FLOOR**2)
@@ -74,7 +67,7 @@ def test_a_match_where_the_estimate_allows_it_is_believed_with_its_own_informati
 
 def test_a_match_far_from_a_sure_estimate_is_refused(place):
     true = np.array([0.3, 0.2, 0.1])
-    match = PlaceMatcher(CFG, ALL_ROUND).match(place, seen(true), np.add(true, [0.15, 0.15, 0.0]), narrow())
+    match = PlaceMatcher(ALL_ROUND).match(place, seen(true), np.add(true, [0.15, 0.15, 0.0]), narrow())
     assert np.abs(se2.between(true, match.measured)).max() < 0.03  # the match itself is right
     assert 3 * CLOSURE_GATE < match.nis < 50 * CLOSURE_GATE
     assert not match.accepted
@@ -82,7 +75,7 @@ def test_a_match_far_from_a_sure_estimate_is_refused(place):
 
 
 def test_a_place_that_looks_alike_in_two_directions_is_refused(place, monkeypatch):
-    matcher = PlaceMatcher(CFG, ALL_ROUND)
+    matcher = PlaceMatcher(ALL_ROUND)
     true = np.array([0.3, 0.2, 0.1])
     for values, accepted in (([0.0, 0.5, 4e4], False), ([0.0, 2e4, 4e4], True)):
         monkeypatch.setattr(matcher.front_end, "information", lambda b, pose, v=values: np.diag(v))
@@ -94,7 +87,7 @@ def test_a_place_that_looks_alike_in_two_directions_is_refused(place, monkeypatc
 def test_a_scan_without_returns_matches_nothing_and_is_refused_with_the_reason(place):
     b = seen([0.3, 0.2, 0.1])
     blind = b._replace(s=b.s[:0], normal=b.normal[:0], q=b.q[:0], support=b.support[:0])
-    match = PlaceMatcher(CFG, ALL_ROUND).match(place, blind, np.array([0.3, 0.2, 0.1]), narrow())
+    match = PlaceMatcher(ALL_ROUND).match(place, blind, np.array([0.3, 0.2, 0.1]), narrow())
     assert not match.accepted
     assert match.share == 0.0
     assert "too few returns match: 0 of 0" in match.reason
@@ -102,7 +95,7 @@ def test_a_scan_without_returns_matches_nothing_and_is_refused_with_the_reason(p
 
 @pytest.mark.parametrize(("sd", "limits"), [(0.02, [0.3, 0.3, 0.1]), (0.2, [0.6, 0.6, 0.15])])
 def test_a_match_may_leave_the_estimate_by_three_deviations_and_by_a_little_always(place, monkeypatch, sd, limits):
-    matcher, asked = PlaceMatcher(CFG, ALL_ROUND), []
+    matcher, asked = PlaceMatcher(ALL_ROUND), []
     match = matcher.front_end.match
     monkeypatch.setattr(matcher.front_end, "match", lambda b, start, most: asked.append(most) or match(b, start, most))
     matcher.match(place, seen([0.3, 0.2, 0.1]), np.array([0.3, 0.2, 0.1]), narrow(sd, 0.25 * sd))
@@ -160,8 +153,7 @@ def test_only_places_of_long_ago_are_searched_by_their_own_robot():
     cov = narrow()
     turn = 2 * np.pi / 12
     graph = driven([[1.0, 0.0, turn]] * 60, cov)  # round and round a circle of 2 m radius
-    cfg = replace(CFG, reach=5.0, far=20.0)
-    search = LoopSearch(cfg, PlaceMatcher(cfg, ALL_ROUND), 1)
+    search = LoopSearch(PlaceMatcher(ALL_ROUND), 1)
     (found,) = search.candidates(graph, 60)
     assert graph.path[found] < graph.path[60] - 20.0
     assert search.candidates(graph, 19) == []

@@ -14,7 +14,6 @@ from mapweave.laser.closures import (
     CLOSURE_SEARCH_REACH,
     CLOSURE_SEARCH_SD,
     CLOSURE_SEARCH_STEPS,
-    ClosureConfig,
     Place,
     PlaceMatcher,
 )
@@ -118,7 +117,7 @@ def test_a_search_begins_where_most_returns_match_of_all_starts_within_reach(mon
     monkeypatch.setattr(closures, "CLOSURE_SEARCH_XY", 0.9)
     monkeypatch.setattr(closures, "CLOSURE_SEARCH_TURN", 0.1)
     monkeypatch.setattr(closures, "CLOSURE_SEARCH_BEAMS", 30)
-    matcher, sd = PlaceMatcher(ClosureConfig(), CFG), np.array(sd)
+    matcher, sd = PlaceMatcher(CFG), np.array(sd)
     matcher.front_end.hold([(seen(p), np.array(p)) for p in ([0.0, 0.0, 0.0], [0.2, 0.0, 1.0], [0.0, 0.1, -1.0])])
     b, predicted = seen([0.3, 0.2, 0.1]), np.array([-0.1, 0.5, 0.15])
     thin = slice(None, None, len(b.q) // 30)
@@ -141,7 +140,7 @@ def test_a_search_begins_where_most_returns_match_of_all_starts_within_reach(mon
 
 def test_only_an_unsure_place_is_searched(monkeypatch):
     monkeypatch.setattr(closures, "CLOSURE_LEAST_MATCHES", 10)
-    matcher, asked = PlaceMatcher(ClosureConfig(), CFG), []
+    matcher, asked = PlaceMatcher(CFG), []
     monkeypatch.setattr(matcher, "_search", lambda _b, predicted, _sd: asked.append(predicted) or predicted)
     place, at = Place([(seen([0.0, 0.0, 0.0]), np.zeros(3))]), np.array([0.1, 0.0, 0.05])
     for sd, searched in (([0.24, 0.24], 0), ([0.26, 0.1], 1), ([0.1, 0.26], 2)):

@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
-from ..core.config import config
 from ..core.gaussian import mahalanobis2, symmetrise
 from ..kernels.laser.local_map import count_matches
 from .beam import Beams
@@ -31,16 +30,6 @@ CLOSURE_SEARCH_REACH = 0.15  # [m] a return this near its line counts in the sea
 CLOSURE_TRUST = 1.0  # [-] what a match's information counts
 CLOSURE_BLUR = 0.02  # [-] as for steps
 CLOSURE_FLOOR = np.array([0.008, 0.008, 0.002])  # [m, m, rad] error of the old local map, which no match tells
-
-
-@config
-class ClosureConfig:
-    """When a keyframe is matched against an old place, and when the match is believed."""
-
-    every: float = 1.0  # [m] between keyframes that are tried
-    tries: int = 2  # matches a robot and step, at most; 0: no loops are looked for
-    reach: float = 5.0  # [m] between the keyframes
-    far: float = 20.0  # [m] driven since the old keyframe, within one robot: nearer ones are in its local map
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,8 +79,7 @@ class Matched(NamedTuple):
 class PlaceMatcher:
     """Matches scans against places; it owns one local map, filled anew for each place."""
 
-    def __init__(self, cfg: ClosureConfig, front_end: FrontEndConfig) -> None:
-        self.cfg = cfg
+    def __init__(self, front_end: FrontEndConfig) -> None:
         self.front_end = FrontEnd(front_end, BARE_TANGENT)
 
     def match(

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..core.config import config
-from ..laser.closures import Closure, ClosureConfig, Matched, Place
+from ..laser.closures import Closure, Matched, Place
 from ..laser.keyframes import Keyframe, KeyframeConfig, carried
 from ..laser.pose_graph import PoseGraph, Solved, edge_factor, problem
 from ..laser.robust_graph import CONTRADICTION, RobustGraphConfig, solve_graph
@@ -31,19 +31,17 @@ ELSEWHERE = "it lies elsewhere than what came after the border"
 UNDECIDED = "found, and not decided on yet"
 CARRIED = 16.0  # squared sd by which the places that hold contradict a step over a border that tells nothing, and
 LOOSE = np.diag([1e4, 1e4, 10.0])  # [m^2, rad^2] covariance that such a step has: the robot was carried
+START_SD = (0.01, 0.01, 0.0087)  # [m, m, rad] of the starts of all robots but the first, which `map` hangs on
 EXACT = 1e-4  # [m, rad] sd of the start that `map` hangs on
 UNTOLD = 1e3  # [m, rad] sd of a start that nobody told: places alone hold its robot
 
 
 @config
 class KeyframeGraphConfig:
-    """How keyframes come about, are tied by closures, and when their graph is solved anew."""
+    """How keyframes come about, and when their graph is solved anew."""
 
-    start_xy: float = 0.01  # [m] sd of the starts of all robots but the first, which `map` hangs on, and
-    start_turn: float = 0.0087  # [rad] of their headings, half a degree
-    resolve_share: float = 0.02  # share of new keyframes from which on the graph is solved anew,
+    resolve_share: float = 0.02  # share of new keyframes from which on the graph is solved anew
     keyframes: KeyframeConfig = KeyframeConfig()
-    closures: ClosureConfig = ClosureConfig()
 
 
 class KeyframeGraph:
@@ -58,7 +56,7 @@ class KeyframeGraph:
         self.crew = np.arange(len(starts)) if apart else np.zeros(len(starts), dtype=np.int64)
         self.start_sd = np.full((len(starts), 3), EXACT)
         if not apart:
-            self.start_sd[1:] = (cfg.start_xy, cfg.start_xy, cfg.start_turn)
+            self.start_sd[1:] = START_SD
         self.contradicted: frozenset[int] = frozenset()
         self.loose: frozenset[int] = frozenset()
         self.unclear: tuple[int, ...] = ()

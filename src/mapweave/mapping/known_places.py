@@ -19,15 +19,16 @@ from ..core.rows import RowBuffer
 from ..laser.robot_graph import Revisits
 from .keyframe_graph import KeyframeGraph
 
+KNOWN_NEAR = 1.0  # [m] from a keyframe and
+KNOWN_TURN = 0.8  # [rad] in heading lie those of the map that know its place, from visits
+KNOWN_FAR = 10.0  # [m] of driving before it at least
+
 
 @config
 class KnownPlacesConfig:
     """When a place is known so well that further keyframes there leave the graph."""
 
     enough: int = 24  # keyframes of the map near one that look the same way, from earlier visits; 0: none ever leaves
-    near: float = 1.0  # [m] from it and
-    turn: float = 0.8  # [rad] in heading
-    far: float = 10.0  # [m] driven since the earlier visit at least
 
 
 Laying = Callable[[int, int], Float[np.ndarray, "c 3"]]
@@ -102,15 +103,15 @@ class KnownPlaces:
 
     def _known(self, graph: KeyframeGraph, i: int) -> bool:
         """Whether the map knows the place of keyframe `i` well."""
-        c, n = self.cfg, self.settled + 1
+        n = self.settled + 1
         d = graph.pose[:n] - graph.pose[i]
-        near = (np.hypot(d[:, 0], d[:, 1]) < c.near) & (np.abs(se2.wrap_angle(d[:, 2])) < c.turn)
-        near &= graph.path[:n] < graph.path[i] - c.far
-        return int(near.sum()) >= c.enough
+        near = (np.hypot(d[:, 0], d[:, 1]) < KNOWN_NEAR) & (np.abs(se2.wrap_angle(d[:, 2])) < KNOWN_TURN)
+        near &= graph.path[:n] < graph.path[i] - KNOWN_FAR
+        return int(near.sum()) >= self.cfg.enough
 
     def _nearest(self, graph: KeyframeGraph, i: int) -> int:
         """The keyframe of the map that lies nearest to keyframe `i`, looking about the same way if any does."""
         n = self.settled + 1
         d = graph.pose[:n] - graph.pose[i]
-        away = np.hypot(d[:, 0], d[:, 1]) + np.where(np.abs(se2.wrap_angle(d[:, 2])) < self.cfg.turn, 0.0, 1e3)
+        away = np.hypot(d[:, 0], d[:, 1]) + np.where(np.abs(se2.wrap_angle(d[:, 2])) < KNOWN_TURN, 0.0, 1e3)
         return int(np.argmin(away))

@@ -12,7 +12,7 @@ from ..core import se2
 from ..core.gaussian import symmetrise
 from ..core.records import Scan, Track
 from ..laser.beam import Beams, beams
-from ..laser.closures import Closure, ClosureConfig, Matched, PlaceMatcher
+from ..laser.closures import Closure, Matched, PlaceMatcher
 from ..laser.consistency import adjoint
 from ..laser.keyframes import Keyframe, KeyframeOdometry, KeyframeScan
 from ..laser.laser_map import GridMap
@@ -23,6 +23,10 @@ from .keyframe_graph import KeyframeGraph
 from .map_overlap import KeyframeMap
 from .merge import Merge, swapped
 
+CLOSURE_EVERY = 1.0  # [m] between keyframes that are tried
+CLOSURE_TRIES = 2  # matches a robot and step, at most; 0: no loops are looked for
+CLOSURE_REACH = 5.0  # [m] between the keyframes
+CLOSURE_FAR = 20.0  # [m] driven since the old keyframe, within one robot: nearer ones are in its local map
 RESOLVE_INNOVATION = 2.0  # [sd] by which a closure moves a pose for the graph to be solved anew
 VIEW_NEAR, VIEW_FAR = 0.5, 6.0  # [m] within which one robot is sure to see another,
 VIEW_HALF = 0.12  # [m] to either side of its middle, a hull being wider,
@@ -34,21 +38,21 @@ OPEN_SHARE = 0.9  # share of the scanner's range that is free where a beam does 
 class LoopSearch:
     """Keyframes wait here until they are matched against old places, a few at a time."""
 
-    def __init__(self, cfg: ClosureConfig, matcher: PlaceMatcher, robots: int) -> None:
-        self.cfg, self.matcher = cfg, matcher
+    def __init__(self, matcher: PlaceMatcher, robots: int) -> None:
+        self.matcher = matcher
         self._untried: list[list[int]] = [[] for _ in range(robots)]
         self._path = np.full(robots, -np.inf)
 
     def offer(self, graph: KeyframeGraph, i: int) -> None:
         """Keyframe `i` will be tried when its robot drove far enough since the last one that was."""
         node = graph.nodes[i]
-        if node.path - self._path[node.robot] >= self.cfg.every:
+        if node.path - self._path[node.robot] >= CLOSURE_EVERY:
             self._path[node.robot] = node.path
             self._untried[node.robot].append(i)
 
     def step(self, graph: KeyframeGraph, j: int) -> None:
-        """At most `tries` matches of robot j's keyframes, the oldest first."""
-        left = self.cfg.tries
+        """At most `CLOSURE_TRIES` matches of robot j's keyframes, the oldest first."""
+        left = CLOSURE_TRIES
         while self._untried[j] and left > 0:
             i = self._untried[j].pop(0)
             for k in self.candidates(graph, i)[:left]:
@@ -71,7 +75,7 @@ class LoopSearch:
         for j in mine.tolist():
             tried = -np.inf
             for i in graph.of[j]:
-                if graph.path[i] - tried >= self.cfg.every:
+                if graph.path[i] - tried >= CLOSURE_EVERY:
                     tried = float(graph.path[i])
                     for k in self.candidates(graph, i, others):
                         self._try(graph, k, i)
@@ -81,12 +85,12 @@ class LoopSearch:
 
         others: the robots whose places come into question, all that share a frame with this one when None.
         """
-        c, node, n = self.cfg, graph.nodes[i], graph.known
+        node, n = graph.nodes[i], graph.known
         d = np.hypot(*(graph.pose[:n, :2] - graph.pose[i, :2]).T)
         robot = graph.robot[:n]
-        near = (d < c.reach) & (graph.crew[robot] == graph.crew[node.robot])
+        near = (d < CLOSURE_REACH) & (graph.crew[robot] == graph.crew[node.robot])
         if others is None:
-            near &= (robot != node.robot) | (graph.path[:n] < node.path - c.far)
+            near &= (robot != node.robot) | (graph.path[:n] < node.path - CLOSURE_FAR)
         else:
             near &= np.isin(robot, others)
         out: list[tuple[float, int]] = []
@@ -110,7 +114,7 @@ class LaserTeam:
         M = len(self.starts)
         self.tracks = [KeyframeOdometry(j, self.cfg.graph.keyframes, self.cfg.front_end) for j in range(M)]
         self.team = KeyframeGraph(self.cfg.graph, self.starts, apart=apart)
-        self.loops = LoopSearch(self.cfg.graph.closures, PlaceMatcher(self.cfg.graph.closures, self.cfg.front_end), M)
+        self.loops = LoopSearch(PlaceMatcher(self.cfg.front_end), M)
         self.scans: list[KeyframeScan] = []
         self._node: list[int] = []  # the keyframe of each scan
         self._waiting: list[list[Keyframe | KeyframeScan]] = [[] for _ in range(M)]

@@ -36,13 +36,6 @@ FIELD_WALL_GAP = 0.3  # [m] that random landmarks keep from walls
 
 
 @config
-class SteeringConfig:
-    """How a robot gets to a place it was given."""
-
-    lost: float = 6.0  # [m], sd of a robot's place in the map beyond which it looks for known landmarks
-
-
-@config
 class LapSearchConfig:
     """How planner `joint` searches its laps and judges them."""
 
@@ -137,7 +130,6 @@ class ExploreConfig:
     MOVED: ClassVar[Mapping[str, str]] = {  # old keys and where they are now
         "speeds": "commands.speeds",
         "turns": "commands.turns",
-        "lost": "steering.lost",
         "cell": "mission.cell",
         "max_steps": "mission.max_steps",
         **{
@@ -154,7 +146,6 @@ class ExploreConfig:
     commands: CommandsConfig = CommandsConfig()
     objective: ObjectiveConfig = ObjectiveConfig()
     handover: HandoverConfig = HandoverConfig()
-    steering: SteeringConfig = SteeringConfig()
     coverage: CoverageConfig = CoverageConfig()
     loop: LoopConfig = LoopConfig()
     joint: JointConfig = JointConfig()

@@ -68,7 +68,7 @@ def _choose_one(
     cfg: ExploreConfig,
 ) -> np.ndarray:
     ex = belief.explored
-    known = None if cfg.objective.literal_escape else way_back(belief, j, pose, cfg)
+    known = None if cfg.objective.literal_escape else way_back(belief, j, pose)
     if known is not None:
         return steer(belief, pose, known, cfg)
     if j in targets:

@@ -9,6 +9,7 @@ from ...fusion.handover import pose_in_map
 from ...kernels.exploration.objective import unexplored_cells
 from ...kernels.walls.segments import Sector, distance_of_moves
 from ...kernels.walls.sight import unexplored_in_sight
+from ...landmarks.landmark_map import GlobalMap, Submap
 from ...landmarks.submap_slam import move
 from .belief import LandmarkBelief
 from .config import STEERING_HEADING_COST, WALLS_COMFORT, ExploreConfig
@@ -16,6 +17,7 @@ from .floor_plan import FloorPlan
 
 PUT_OFF_AFTER = 60  # [steps] after which a target that was not seen is put off
 
+STEERING_LOST = 6.0  # [m] sd of a robot's place in the map beyond which it looks for known landmarks
 STEERING_LANDMARK_REACHED = 4.0  # [m] from a landmark at which a lost robot has tried it: well within the reach
 WALLS_LEG = 2.0  # [m] of the path ahead whose narrowness allows a robot to come nearer to walls
 WALLS_DETOUR = 6.0  # [m] within which a robot plans its path round places where a wall was met lately
@@ -126,16 +128,20 @@ def _time_to(poses: Float[np.ndarray, "m 3"], goal: Float[np.ndarray, "2"]) -> n
     return np.asarray(np.hypot(d[:, 0], d[:, 1]) + STEERING_HEADING_COST * error)
 
 
-def way_back(belief: LandmarkBelief, j: int, pose: Float[np.ndarray, "3"], cfg: ExploreConfig) -> np.ndarray | None:
+def is_lost(G: GlobalMap, submap: Submap) -> bool:
+    """Whether a robot no longer knows where in the map it is: how unsure its place is, along the worst direction."""
+    P = pose_in_map(G, submap)[1]
+    return bool(np.linalg.eigvalsh(P[:2, :2])[-1] > STEERING_LOST**2)
+
+
+def way_back(belief: LandmarkBelief, j: int, pose: Float[np.ndarray, "3"]) -> np.ndarray | None:
     """Where (2,) robot j finds itself again: the nearest mapped landmark not tried yet; None while it is not lost.
 
-    Lost: its place in the map has a standard deviation beyond `cfg.steering.lost`. A landmark reached without help
-    counts as tried, since a lost robot is not where it thinks.
+    A landmark reached without help counts as tried, since a lost robot is not where it thinks.
     """
     tried: dict[int, set[str]] = belief.memory.setdefault("tried", {})
     G = belief.global_map
-    _, P = pose_in_map(G, belief.submaps[j])
-    if not G.ids or np.linalg.eigvalsh(P[:2, :2])[-1] <= cfg.steering.lost**2:
+    if not G.ids or not is_lost(G, belief.submaps[j]):
         tried.pop(j, None)
         return None
     seen = tried.setdefault(j, set())

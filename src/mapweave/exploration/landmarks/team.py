@@ -16,7 +16,7 @@ from ...core import se2
 from ...core.errors import DataError
 from ...core.se2 import wrap_angle
 from ...core.walls import Walls
-from ...fusion.handover import Handover, hand_over, pose_in_map
+from ...fusion.handover import Handover, hand_over
 from ...kernels.exploration.objective import map_uncertainty, mark_half_disc
 from ...kernels.walls.segments import Sector
 from ...kernels.walls.sight import mark_in_sight
@@ -27,6 +27,7 @@ from ..planner_interface import query_planner
 from .belief import Explored, LandmarkBelief, Planner
 from .config import ExploreConfig
 from .floor_plan import FloorPlan, survey_floor
+from .steering import is_lost
 
 WALLS_CONTACT_STEPS = 40  # [steps] for which the place where a robot met a wall unexpectedly is kept clear of
 
@@ -318,13 +319,8 @@ class Team:
     def _due(self, j: int) -> bool:
         c, sub = self.cfg, self.submaps[j]
         sure = map_uncertainty(np.asarray(sub.cov)) / (len(sub.ids) + 1) < c.handover.uncertainty
-        helps = bool(self._lost(j) and len(sub.ids))
+        helps = bool(len(sub.ids)) and is_lost(self.G, sub)  # what it sees now may tell
         return (self.ages[j] > c.handover.after and (sure or helps)) or self.ages[j] >= c.handover.by
-
-    def _lost(self, j: int) -> bool:
-        """Whether robot j no longer knows where in the map it is: what it sees now may tell."""
-        P = pose_in_map(self.G, self.submaps[j])[1]
-        return bool(np.linalg.eigvalsh(P[:2, :2])[-1] > self.cfg.steering.lost**2)
 
     def _hand_over(self, j: int, *, surely: bool = False) -> bool:
         """The submap joins the map and starts anew; a lost message leaves it as it is, to be sent again next step."""

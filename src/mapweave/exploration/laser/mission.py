@@ -15,6 +15,7 @@ from ...core.records import Scan
 from ...evaluation.building import Building, known_at
 from ...kernels.walls.segments import sight_on_raster
 from ...laser.occupancy import Occupancy, of_grid
+from ...mapping.keyframe_graph import START_SD
 from ...mapping.laser_team import LaserTeam
 from ...mapping.merge import Merge, merge_maps
 from ...sim.laser import stream
@@ -281,8 +282,7 @@ class LaserRun:
         M = len(starts)
         self.sim = LaserTeamSim(self.place.world, starts, self.cfg.robots, self.seed)
         believed = starts.copy()
-        sd = [self.cfg.team.graph.start_xy, self.cfg.team.graph.start_xy, self.cfg.team.graph.start_turn]
-        believed[1:] += stream(self.seed, "starts").standard_normal((M, 3))[1:] * sd
+        believed[1:] += stream(self.seed, "starts").standard_normal((M, 3))[1:] * START_SD
         if self.apart:
             believed[1:] = 0.0
         self.team = LaserTeam(self.cfg.team, believed, apart=self.apart)
