@@ -14,7 +14,7 @@ from ..core.names import robot_name
 from ..core.paths import checked_arguments, path_of
 from ..core.version import __version__
 from ..core.workers import Progress, no_progress, one_blas_thread
-from ..io.directory import check_target, result_directory, write_json
+from ..io.directory import check_target, write_json
 from ..laser.laser_map import GridMap
 from ..mapping.changes import Change, Changes, cells_at, changes_between
 from ..mapping.map_overlap import KeyframeMap
@@ -23,7 +23,7 @@ from ..mapping.merge_search import MergeConfig, Start
 from ..mapping.woven_map import WovenMap
 from ..report.html import Page
 from ..report.laser_figures import walls
-from ..report.result import ResultBase, Rows
+from ..report.result import ResultBase, Rows, written
 from ..report.scene import Scene
 from ..report.style import Target, colour
 from .laser_result import LaserResult
@@ -181,8 +181,7 @@ def compare(
         one if isinstance(one, LaserResult) else path_of(one, name, "a folder or a result in memory")
         for one, name in ((before, "before"), (after, "after"))
     ]
-    if out is not None:
-        check_target(Path(out), force=force, reads=given)
+    check_target(out, force=force, reads=given)
     first, second = (_read(one, name) for one, name in zip(given, ("before", "after"), strict=True))
     if {m.scan_hash for m in first.maps} == {m.scan_hash for m in second.maps}:
         made = _same_logs(first, second)
@@ -190,11 +189,7 @@ def compare(
         on_progress("aligning", 0, 1)
         made = _one_place(first, second, _start(start))
         on_progress("aligning", 1, 1)
-    if out is not None:
-        with result_directory(Path(out), force=force) as work:
-            made.write_into(work)
-            made.finish(work)
-    return made
+    return written(made, out, force=force)
 
 
 def _read(given: Path | LaserResult, name: str) -> LaserResult:

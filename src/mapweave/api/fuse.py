@@ -19,6 +19,7 @@ from ..io.local_map import read_local_map
 from ..io.saved_result import expect_whole
 from ..landmarks.landmark_map import LocalMap
 from ..laser.laser_map import LaserMap
+from ..report.result import written
 from .evaluate import expect_truth
 from .in_memory import Truths, decisions_of_argument, result_folders, truth_files
 from .laser_result import DecisionsGiven, LaserResult, same_logs, woven_result
@@ -173,9 +174,7 @@ def fuse(
                 raise UsageError(f"--decisions: only for laser results, found {given[0]}")
             cfg = load(FuseConfig, config, {"weights": weights, "identities": identities})
             result = _fuse_landmarks(given, cfg, seed, scores, on_progress)
-    if out is not None:
-        result.write(out, force=force)
-    return result
+    return written(result, out, force=force)
 
 
 def _fuse_landmarks(

@@ -35,7 +35,7 @@ from ..laser.localise_trust import Evidence
 from ..laser.scan_odometry import PoseEstimate
 from ..mapping.config import LaserConfig
 from ..report.localize import localisation_scene, write_localisation_report
-from ..report.result import ResultBase, Rows
+from ..report.result import ResultBase, Rows, written
 from ..report.style import Target
 from .in_memory import Truth, result_folder, truth_files
 from .laser_result import LaserResult
@@ -311,8 +311,7 @@ def localize(
     >>> localize("drive.mcap", "out", start=(0.0, 0.0, 0.0)).metrics["localisation"]["trusted"]
     True
     """
-    if out is not None:
-        check_target(Path(out), force=force, reads=(log, map, truth, config))
+    check_target(out, force=force, reads=(log, map, truth, config))
     place = _start(start)
     if not isinstance(log, LaserLog | Mapping):
         log = path_of(log, "log", "a path, a LaserLog or scans in memory")
@@ -334,9 +333,7 @@ def localize(
     metrics = _metrics(localisation, str(map) if is_path(map) else "in memory", seed, score)
     metrics["unused"] = [left.row() for left in recording.unused]
     result = LocalizeResult(localisation, grid, metrics, score)
-    if out is not None:
-        result.write(out, force=force)
-    return result
+    return written(result, out, force=force)
 
 
 def score_start(localisation: Localisation, truth: Track) -> StartScore:

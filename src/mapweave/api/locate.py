@@ -184,8 +184,7 @@ def locate(
         motion = cfg.motion
     if method not in get_args(Method):
         raise UsageError(f"--method {method}: expected one of {', '.join(get_args(Method))}")
-    if out is not None:
-        check_target(Path(out), force=force, reads=(sightings, odometry, initial, truth, config))
+    check_target(out, force=force, reads=(sightings, odometry, initial, truth, config))
     drives, start, true = (
         None if one is None else _rows(one, name)
         for one, name in ((odometry, "odometry"), (initial, "initial"), (truth, "truth"))

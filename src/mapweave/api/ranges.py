@@ -213,8 +213,7 @@ def solve_ranges(file: Path | str, out: Path | str | None = None, *, force: bool
     UsageError
         For an `out` that holds something other than a result. Nothing is written then.
     """
-    if out is not None:
-        check_target(Path(out), force=force, reads=(file,))
+    check_target(out, force=force, reads=(file,))
     watch = Watch()
     held = read_pyfg(Path(file))
     watch.lap("read")

@@ -21,7 +21,7 @@ from ..io.range_bags import write_range_bag
 from ..io.sightings import write_sightings
 from ..io.table import write_table
 from ..io.tum import write_tum
-from ..report.result import ResultBase, Rows
+from ..report.result import ResultBase, Rows, written
 from ..report.small_pages import draw_world
 from ..report.style import Target
 from ..sim.landmarks import TeamWorld
@@ -130,13 +130,10 @@ def simulate_landmarks(
         misreads=misreads,
     )
     world.check()
-    if out is not None:
-        check_target(Path(out), force=force)
+    check_target(out, force=force)
     simulated = drive_team(world, seed)
     team = SimulatedTeam(simulated.barcodes, simulated.landmarks, simulated.robots, world, seed)
-    if out is not None:
-        team.write(out, force=force)
-    return team
+    return written(team, out, force=force)
 
 
 MOST_BEAMS, MOST_PEOPLE, MOST_ROOMS, MOST_SCANS = 20_000, 1000, 500, 200_000  # a log of gigabytes
@@ -564,13 +561,10 @@ def simulate_team(
     )
     world.check()
     _check_receivers(fixes)
-    if out is not None:
-        check_target(Path(out), force=force)
+    check_target(out, force=force)
     simulated = simulate_mixed(world, seed)
     team = SimulatedMixedTeam(simulated.robots, simulated.landmarks, simulated.walls, simulated.ranges, world, seed)
-    if out is not None:
-        team.write(out, force=force)
-    return team
+    return written(team, out, force=force)
 
 
 def _driven(way: np.ndarray) -> float:

@@ -14,14 +14,14 @@ from ..core.gaussian import chi2_quantile
 from ..core.paths import checked_arguments, is_path, path_of
 from ..core.records import Track
 from ..core.version import __version__
-from ..io.directory import check_target, result_directory, write_json
+from ..io.directory import check_target, write_json
 from ..io.g2o import G2oFile, read_g2o_file, write_g2o
 from ..io.graph_arrays import graph_of, is_graph
 from ..io.table import open_text
 from ..io.tum import write_track_covariance, write_tum
 from ..laser.pose_graph import PoseGraph
 from ..laser.robust_graph import RobustGraphConfig, SolvedGraph, solve_graph
-from ..report.result import ResultBase
+from ..report.result import ResultBase, written
 from ..report.solve import graph_scene, write_solve_report
 from ..report.style import Target
 
@@ -157,8 +157,7 @@ def solve_pose_graph(
     >>> solve_pose_graph({"edges": {**steps, "information": [100.0 * np.eye(3)] * 2}}).solved.graph.pose[2].tolist()
     [2.0, 0.0, 0.0]
     """
-    if out is not None:
-        check_target(Path(out), force=force, reads=(file,))
+    check_target(out, force=force, reads=(file,))
     started = perf_counter()
     held = graph_of(file, "file") if is_graph(file) else read_g2o_file(path_of(file, "file", EXPECTED), parts=True)
     source = path_of(file, "file") if is_path(file) else Path("in memory")
@@ -173,11 +172,7 @@ def solve_pose_graph(
     doubts = _doubts(held, solved, robust=robust)
     warnings = (*_warnings(held, solved), *doubts)
     result = SolveResult(source, held, solved, covariance, robust, doubts, warnings, timing)
-    if out is not None:
-        with result_directory(Path(out), force=force) as work:
-            result.write_into(work)
-            result.finish(work)
-    return result
+    return written(result, out, force=force)
 
 
 def _warnings(held: G2oFile, solved: SolvedGraph) -> tuple[str, ...]:

@@ -25,14 +25,14 @@ from ..core.paths import checked_arguments, path_of
 from ..core.rows import spread
 from ..core.workers import one_blas_thread
 from ..io.decisions import NAME, decisions_text, read_decisions
-from ..io.directory import check_target, result_directory, result_file
+from ..io.directory import check_target, result_file
 from ..io.finished import read_finished
 from ..io.team_map import read_metrics
 from ..io.web import Answer, served_pages
 from ..mapping.decisions import CELLS, TOGETHER, UNDECIDED, WORDS, PairRow, PlaceRow
 from ..mapping.woven_map import WovenMap
 from ..report.laser_figures import laser_scene
-from ..report.result import ResultBase
+from ..report.result import ResultBase, written
 from ..report.small_pages import editing_page
 from ..report.woven import robot_colour, told_component
 from .in_memory import result_folder
@@ -157,8 +157,7 @@ def edit(
         For a result that has no graph to decide on, a port that is taken, or an `out` that cannot be written.
     """
     folder = Path(directory)
-    if out is not None:
-        check_target(Path(out), reads=(folder,))
+    check_target(out, reads=(folder,))
     file = folder / NAME if decisions is None else Path(decisions)
     editor = Editor(folder, file, None if out is None else Path(out))
     page = editing_page(f"Decide on {folder.resolve().name}").encode()
@@ -291,10 +290,7 @@ class Editor:
             try:
                 with result_file(self.file) as work:
                     work.write_text(text, encoding="utf-8")
-                if self.out is not None:
-                    with result_directory(self.out) as home:
-                        self.result.write_into(home)
-                        self.result.finish(home)
+                written(self.result, self.out)
             except OSError as error:
                 raise UsageError(f"{error.filename}: {error.strerror}") from None
             self.saved = True

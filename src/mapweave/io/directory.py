@@ -31,12 +31,17 @@ SWAP = 2  # RENAME_EXCHANGE of Linux, RENAME_SWAP of Darwin
 TRIES = 10  # of changing names, while others do
 
 
-def check_target(out: Path, *, force: bool = False, reads: Iterable[object] = ()) -> None:
+def check_target(out: Path | str | None, *, force: bool = False, reads: Iterable[object] = ()) -> None:
     """Raises UsageError unless `out` may be (re)placed: absent, empty, an earlier mapweave result, or `force`.
+
+    None, where nothing is to be written, always may.
 
     Raises it also where the folder that `out` belongs to cannot be written, and, `force` or not, where replacing `out`
     would take away what the job reads: one of `reads` (paths; anything else is passed over) is `out` or lies in it.
     """
+    if out is None:
+        return
+    out = Path(out)
     for path in reads:
         if isinstance(path, str | os.PathLike) and Path(path).resolve().is_relative_to(out.resolve()):
             raise UsageError(f"{out}: {path} is read from there, and the result would replace it; give another --out")

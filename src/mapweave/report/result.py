@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from numbers import Real
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, cast, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast, runtime_checkable
 
 from ..core.paths import path_of
 from ..core.signatures import readable
@@ -22,11 +22,20 @@ Rows = tuple[Sequence[str], Sequence[Sequence[object]]]
 MOST_LINES, MOST_ROWS, MOST_LETTERS = 8, 12, 240  # of a page's head
 MOST_PICTURE = 100_000  # [bytes] of its picture: a notebook of many results can still be mailed
 
+R = TypeVar("R", bound="ResultBase")
+
 
 @runtime_checkable
 class HasMetrics(Protocol):
     @property
     def metrics(self) -> Mapping[str, Any]: ...
+
+
+def written(result: R, out: Path | str | None, *, force: bool = False) -> R:
+    """`result`, which stands in `out` now, where that is given."""
+    if out is not None:
+        result.write(out, force=force)
+    return result
 
 
 class ResultBase(ABC):

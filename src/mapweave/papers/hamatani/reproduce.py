@@ -14,7 +14,7 @@ from ...core.version import __version__
 from ...core.workers import Progress, no_progress, one_blas_thread
 from ...io.directory import check_target
 from ...io.kept import kept_parts, part
-from ...report.result import Rows
+from ...report.result import Rows, written
 from ...report.style import MUTED, TRUTH, Target, as_map, colour, figure
 from ...swarm.locate import locate
 from ..reproduction import Check, Claim, Drawing, Numbers, Reproduction, Rule, Section, question, rule, sentences
@@ -618,8 +618,7 @@ def reproduce_hamatani(
     UsageError
         For an `out` that holds something other than a result.
     """
-    if out is not None:
-        check_target(Path(out), force=force)
+    check_target(out, force=force)
     begun = perf_counter()
     trials = 3 if quick else 10
     cases = [TableCell(g, b, known) for known in (False, True) for g in VARIANCES for b in VARIANCES]
@@ -633,9 +632,7 @@ def reproduce_hamatani(
     timing = {"filters": filtered - begun, "beyond": perf_counter() - filtered}
     drift = tuple(cells[len(cases) :])
     result = HamataniReproduction(seed, quick, trials, tuple(cells[: len(cases)]), drift, further, pictures, timing)
-    if out is not None:
-        result.write(out, force=force)
-    return result
+    return written(result, out, force=force)
 
 
 def _example(seed: int) -> Pictures:

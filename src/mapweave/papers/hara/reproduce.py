@@ -15,7 +15,7 @@ from ...core.workers import Progress, no_progress, one_blas_thread
 from ...io.directory import check_target
 from ...io.kept import kept_parts, part
 from ...laser.laser_map import GridMap
-from ...report.result import Rows
+from ...report.result import Rows, written
 from ...report.style import MUTED, SEQUENTIAL, TRUTH, Target, as_map, colour, figure
 from ...sim.laser_worlds import CorridorConfig
 from ..reproduction import Check, Claim, Drawing, Numbers, Reproduction, Section, question, rule, sentences
@@ -559,8 +559,7 @@ def reproduce_hara(
     UsageError
         For an `out` that holds something other than a result.
     """
-    if out is not None:
-        check_target(Path(out), force=force)
+    check_target(out, force=force)
     begun = perf_counter()
     particles, seeds = (64, 2) if quick else (512, 6)
     chosen = methods(particles)
@@ -576,6 +575,4 @@ def reproduce_hara(
     result = HaraReproduction(
         seed, quick, particles, chosen, errors, pictures, gate, along, bounds, alpha, starts, timing
     )
-    if out is not None:
-        result.write(out, force=force)
-    return result
+    return written(result, out, force=force)

@@ -14,6 +14,7 @@ from ...core.version import __version__
 from ...core.workers import Progress, no_progress, one_blas_thread
 from ...io.directory import check_target
 from ...io.kept import kept_parts, part
+from ...report.result import written
 from ...report.style import Target
 from ..reproduction import Check, Claim, Drawing, Reproduction, Rule, Section, question, rule, sentences
 from .experiments import honesty, merge_online, settling, unequal
@@ -454,8 +455,7 @@ def reproduce_kojima(
     UsageError
         For an `out` that holds something other than a result.
     """
-    if out is not None:
-        check_target(Path(out), force=force)
+    check_target(out, force=force)
     begun = perf_counter()
     seeds, draws, unequal_seeds, trials = (20, 100, 60, 25) if quick else (200, 10, 400, 100)
     cfg = KojimaConfig()
@@ -476,9 +476,7 @@ def reproduce_kojima(
     result = KojimaReproduction(
         seed, quick, seeds, unequal_seeds, cfg, worlds, first, runs, nees, table, settled, identities, timing
     )
-    if out is not None:
-        result.write(out, force=force)
-    return result
+    return written(result, out, force=force)
 
 
 def _local(p: FigureData, k: int) -> Callable[[Target], None]:

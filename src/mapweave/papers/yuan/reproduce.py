@@ -18,7 +18,7 @@ from ...exploration.mission import run_seeds
 from ...io.directory import check_target, plain
 from ...io.kept import kept_parts
 from ...report.exploration import landmark_scene
-from ...report.result import Rows
+from ...report.result import Rows, written
 from ...report.style import TRUTH, Target, colour, figure, marker
 from ..reproduction import Check, Claim, Drawing, Numbers, Reproduction, Rule, Section, Typed, rule, sentences
 from .experiments import (
@@ -627,8 +627,7 @@ def reproduce_yuan(
     UsageError
         For an `out` that holds something other than a result.
     """
-    if out is not None:
-        check_target(Path(out), force=force)
+    check_target(out, force=force)
     begun = perf_counter()
     wanted = cases(quick=quick)
     done: list[Outcome] = []
@@ -639,9 +638,7 @@ def reproduce_yuan(
     on_progress("done", len(wanted), len(wanted))
     pictures = (explore_once(run(), seed)[1], explore_once(run(robots=1), seed)[1])
     result = YuanReproduction(seed, quick, tuple(done), pictures, {"all": perf_counter() - begun})
-    if out is not None:
-        result.write(out, force=force)
-    return result
+    return written(result, out, force=force)
 
 
 def _scores(case: Case, runs: int, seed: int, workers: Executor | None) -> tuple[Any, ...]:
