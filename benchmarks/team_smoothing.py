@@ -31,8 +31,7 @@ from mapweave.fusion.config import FuseConfig
 from mapweave.fusion.join import fuse
 from mapweave.io.landmark_logs import read_landmark_logs
 from mapweave.landmarks.mapping import local_map
-from mapweave.team.config import SmoothingConfig
-from mapweave.team.relative_frame import PlacingConfig
+from mapweave.team.config import PlacingConfig, SmoothingConfig
 from mapweave.team.smooth import smooth
 from mapweave.team.team_map import TeamMap, with_further_rooms
 

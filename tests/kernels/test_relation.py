@@ -5,7 +5,8 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.kernels.landmarks.relation import relation_normal
-from mapweave.team.relative_frame import MutualSightings, PlacingConfig, costs, residuals
+from mapweave.team.config import PlacingConfig
+from mapweave.team.relation import MutualSightings, costs, residuals
 
 pytestmark = pytest.mark.kernel
 CFG = PlacingConfig()

@@ -17,9 +17,8 @@ from mapweave.io.mixed_logs import read_mixed_landmarks, sorted_logs
 from mapweave.landmarks.mapping import local_map
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import map_laser
-from mapweave.team.config import SmoothingConfig
+from mapweave.team.config import PlacingConfig, SmoothingConfig
 from mapweave.team.mixed import map_mixed
-from mapweave.team.relative_frame import PlacingConfig
 from mapweave.team.team_map import TeamMap
 from mapweave.team.walls import Scanned
 

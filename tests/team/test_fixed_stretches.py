@@ -8,8 +8,9 @@ import pytest
 from mapweave.core.landmark_log import NOTHING_SEEN, LandmarkLog, SightingTable
 from mapweave.core.records import Track
 from mapweave.landmarks.landmark_map import LandmarkMap
+from mapweave.team.config import PlacingConfig
 from mapweave.team.mixed import fixed_stretches
-from mapweave.team.relative_frame import FIXED_WINDOW, PlacingConfig
+from mapweave.team.relative_frame import FIXED_WINDOW
 from mapweave.team.team_map import TeamMap
 
 T = np.arange(0.0, 60.0, 0.5)

@@ -12,7 +12,7 @@ from mapweave.fusion.join import fuse
 from mapweave.io.landmark_logs import read_landmark_logs
 from mapweave.io.landmark_truth import read_survey
 from mapweave.landmarks.mapping import local_map
-from mapweave.team.relative_frame import PlacingConfig
+from mapweave.team.config import PlacingConfig
 from mapweave.team.team_map import with_further_rooms
 
 from .teams import world

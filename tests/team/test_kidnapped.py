@@ -16,9 +16,8 @@ from mapweave.io.landmark_logs import read_landmark_logs
 from mapweave.landmarks.mapping import local_map
 from mapweave.sim import landmarks as simulator
 from mapweave.sim import mixed_team as mixed_simulator
-from mapweave.team.config import SmoothingConfig
+from mapweave.team.config import PlacingConfig, SmoothingConfig
 from mapweave.team.kidnapped import cut_kidnapped
-from mapweave.team.relative_frame import PlacingConfig
 
 WORLD = {"landmarks": 15, "minutes": 5}
 

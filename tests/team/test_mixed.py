@@ -10,11 +10,11 @@ from mapweave.core.landmark_log import NOTHING_SEEN, LandmarkLog
 from mapweave.mapping.config import LaserConfig
 from mapweave.solve import Factor
 from mapweave.team import smooth as smoothing
-from mapweave.team.config import SmoothingConfig
+from mapweave.team.config import PlacingConfig, SmoothingConfig
 from mapweave.team.factors import InterRobotEdge
 from mapweave.team.mixed import regained
 from mapweave.team.problem import team_problem
-from mapweave.team.relative_frame import Body, Layout, PlacingConfig, moved_track
+from mapweave.team.relative_frame import Body, Layout, moved_track
 from mapweave.team.walls import CommonWalls, Scanned, common_walls, in_line
 
 from .mixed_teams import mixed

@@ -6,8 +6,8 @@ import pytest
 from mapweave.core import se2
 from mapweave.core.landmark_log import NOTHING_SEEN, LandmarkLog, SightingTable
 from mapweave.core.records import Track
-from mapweave.team.config import SmoothingConfig
-from mapweave.team.relative_frame import Body, PlacingConfig, lay_out
+from mapweave.team.config import PlacingConfig, SmoothingConfig
+from mapweave.team.relative_frame import Body, lay_out
 
 SPEED = 0.12  # [m/s] of the robot without wheels
 

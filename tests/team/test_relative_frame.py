@@ -4,15 +4,8 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.team.relative_frame import (
-    PLACING_LEAST,
-    MutualSightings,
-    PlacingConfig,
-    is_sure,
-    point_seen,
-    relate,
-    residuals,
-)
+from mapweave.team.config import PlacingConfig
+from mapweave.team.relation import PLACING_LEAST, MutualSightings, is_sure, point_seen, relate, residuals
 
 CFG = PlacingConfig()
 

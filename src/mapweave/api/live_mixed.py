@@ -14,7 +14,8 @@ from ..landmarks.mapping import local_map
 from ..live.joined import Apart, Joined, SightedAt, Tied
 from ..team.clocks import on_camera_clock
 from ..team.mixed import first_layout, regained
-from ..team.relative_frame import CLOCK_TOGETHER, PLACING_LEVER, SURE_THETA, UNMOVED, Body, Labels
+from ..team.relation import SURE_THETA
+from ..team.relative_frame import CLOCK_TOGETHER, PLACING_LEVER, UNMOVED, Body, Labels
 from ..team.team_map import TeamMap
 from .map_mixed import MixedMapConfig, maps_landmarks, without_contradicted
 from .team import team_maps

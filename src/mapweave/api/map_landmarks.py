@@ -31,13 +31,12 @@ from ..landmarks.landmark_map import LandmarkMap, LocalMap
 from ..landmarks.mapping import Growth, grow, without_impossible
 from ..solve import SingularError
 from ..team.clocks import of_another_time, on_camera_clock
-from ..team.config import ONLINE_FAR, SMOOTHING_SOFTEN, OnlineConfig, SmoothingConfig
+from ..team.config import ONLINE_FAR, SMOOTHING_SOFTEN, OnlineConfig, PlacingConfig, SmoothingConfig
 from ..team.georeference import FRAME_GIVEN, NOT_SMOOTHED, laid_team, seen_from_first, unused_fixes
 from ..team.kidnapped import cut_kidnapped, with_stretches
 from ..team.known import PlacePriors, framed
 from ..team.mixed import regained
 from ..team.online import OnlineMap, OnlineRun, OnlineStep, OnlineTeam
-from ..team.relative_frame import PlacingConfig
 from ..team.smooth import Smoothed, smooth_on_one_clock, with_earlier_stamps
 from ..team.team_map import TeamMap, at_every_stamp, in_first_frame, with_further_rooms
 from .map_options import LANDMARK_METHODS, MapOptions

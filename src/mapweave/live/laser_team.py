@@ -18,7 +18,8 @@ from ..core.records import Track
 from ..laser.robot_graph import RobotGraph
 from ..mapping.config import LaserConfig
 from ..mapping.merge_search import Start, start_between
-from ..team.relative_frame import PLACING_LEVER, SURE_THETA
+from ..team.relation import SURE_THETA
+from ..team.relative_frame import PLACING_LEVER
 from ..team.walls import unless_far
 from .door import decode
 from .driven import DrivenSession

@@ -28,21 +28,11 @@ from ..core.rows import spread
 from ..landmarks.ekf_slam import is_landmark
 from ..solve import Solution
 from .commanded_motion import CommandedMotion
-from .config import MOTION_NOISE_HOLD, CalibrationPrior
+from .config import MOTION_NOISE_HOLD, CalibrationPrior, PlacingConfig, sharpened
 from .covariance import Groups, scores
 from .problem import Origin, TeamProblem
-from .relative_frame import (
-    CLOCK_FINE,
-    CLOCK_FINE_STEP,
-    CLOCK_SIGHTINGS,
-    CLOCK_TOGETHER,
-    Body,
-    Labels,
-    PlacingConfig,
-    costs,
-    mutual_sightings,
-    sharpened,
-)
+from .relation import costs
+from .relative_frame import CLOCK_FINE, CLOCK_FINE_STEP, CLOCK_SIGHTINGS, CLOCK_TOGETHER, Body, Labels, mutual_sightings
 from .team_map import TeamMap
 
 CAMERA_CLOCK_REACH = 5.0  # [s] looked for either way,

@@ -1,9 +1,9 @@
-"""What smoothing a whole team assumes of robots and sensors; one set of defaults for all of them.
+"""What placing and smoothing a whole team assume of robots and sensors; one set of defaults for all of them.
 
 And how it is smoothed while its logs play.
 """
 
-from dataclasses import field
+from dataclasses import field, replace
 
 from ..core.config import config
 from ..core.errors import ConfigError
@@ -26,6 +26,9 @@ CLOCK_STILL = 0.05  # [s] until it moves no more
 CLOCK_GAIN = 25.0  # cost that a clock put right must take away at least
 CLOCK_SURE = 6.0  # standard deviations from which it is put right too,
 GAIN_SURE = 35.0  # and the cost that it must take away then
+
+SHARP_RANGE = 0.5  # of the error of a range, and
+SHARP_BEARING = 0.4  # of a bearing, that is the sighting's own: as along tracks that are good
 
 SMOOTHING_MEMORY = 5.0  # [s] over which errors of one robot's sightings of one landmark are taken to be correlated
 SMOOTHING_GROUPS = 3.0  # of factors, for each landmark coordinate and calibration parameter, that a sandwich wants
@@ -112,3 +115,24 @@ class OnlineConfig:
                 raise ConfigError(f"{name}: expected a number above 0, found {getattr(self, name)}")
         if self.step > ONLINE_STRETCH:
             raise ConfigError(f"step: expected {ONLINE_STRETCH:g} s or less, found {self.step}")
+
+
+@config
+class PlacingConfig:
+    """When frames are tied; noise is that of sightings and of the tracks they are made from together."""
+
+    range_floor: float = 0.25  # [m] error of a range,
+    range_share: float = 0.1  # and as a share of it
+    bearing: float = 0.08  # [rad] error of a bearing
+    sure_xy: float = 0.6  # [m] sd of a tie, at most
+    window: float = 12.0  # [s] over which bare wheels are trusted,
+    window_still: float = 1.2  # [s] over which a robot without wheels is taken to stand
+    loose_share: float = 0.25  # share of a loose robot's sightings that must agree with where they place it
+
+
+def sharpened(cfg: PlacingConfig) -> PlacingConfig:
+    """The same with the noise of sightings alone, as from tracks that are good."""
+    s = SHARP_RANGE
+    return replace(
+        cfg, range_floor=s * cfg.range_floor, range_share=s * cfg.range_share, bearing=SHARP_BEARING * cfg.bearing
+    )

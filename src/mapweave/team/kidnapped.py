@@ -19,20 +19,9 @@ from ..core.records import Track
 from ..fusion.result import Fusion
 from ..landmarks.landmark_map import LandmarkMap, LocalMap
 from .commanded_motion import CommandedMotion
-from .config import MOTION_NOISE_HOLD, SmoothingConfig
-from .relative_frame import (
-    PLACING_INLIER,
-    SURE_THETA,
-    Body,
-    Labels,
-    PlacingConfig,
-    Windows,
-    carried_by_wheels,
-    mutual_sightings,
-    placed_alone,
-    placed_windows,
-    residuals,
-)
+from .config import MOTION_NOISE_HOLD, PlacingConfig, SmoothingConfig
+from .relation import PLACING_INLIER, SURE_THETA, residuals
+from .relative_frame import Body, Labels, Windows, carried_by_wheels, mutual_sightings, placed_alone, placed_windows
 from .team_map import TeamMap
 
 KIDNAP_LANDMARKS = 4  # of a map against which a robot is placed

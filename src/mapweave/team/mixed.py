@@ -20,9 +20,10 @@ from ..laser.robot_graph import RobotGraph
 from ..mapping.config import LaserConfig
 from ..mapping.merge import Merge
 from .clocks import RobotClock, clock_of
-from .config import SMOOTHING_SOFTEN, UNKNOWN_SPEED, UNKNOWN_SPIN, SmoothingConfig
+from .config import SMOOTHING_SOFTEN, UNKNOWN_SPEED, UNKNOWN_SPIN, PlacingConfig, SmoothingConfig
 from .georeference import FRAME_GIVEN, NOT_SMOOTHED, LaidTeam, laid_team, unused_fixes
 from .known import PlacePriors, tied_by_known
+from .relation import PLACING_INLIER, MutualSightings, point_seen, residuals
 from .relative_frame import (
     CLOCK_FINE_STEP,
     FIXED_WINDOW,
@@ -30,7 +31,6 @@ from .relative_frame import (
     PLACING_BETTER,
     PLACING_CLOCK_ROUNDS,
     PLACING_CLOCK_SURE,
-    PLACING_INLIER,
     PLACING_LEAP,
     PLACING_UNSURE,
     REGAINED_SHARE,
@@ -38,15 +38,11 @@ from .relative_frame import (
     Body,
     Labels,
     Layout,
-    MutualSightings,
-    PlacingConfig,
     Tie,
     agreeing_sightings,
     carried_by_wheels,
     lay_out,
     mutual_sightings,
-    point_seen,
-    residuals,
 )
 from .robot_part import all_seen
 from .smooth import Calibration, Smoothed, smooth

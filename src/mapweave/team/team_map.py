@@ -17,18 +17,9 @@ from ..core.names import in_order, robot_key
 from ..core.records import Track
 from ..fusion.result import Fusion
 from ..landmarks.landmark_map import LandmarkMap, LocalMap
-from .relative_frame import (
-    PLACING_GUESSED,
-    ROOM_REACH,
-    Body,
-    MutualSightings,
-    PlacingConfig,
-    Relation,
-    is_sure,
-    moved_track,
-    mutual_sightings,
-    relate,
-)
+from .config import PlacingConfig
+from .relation import MutualSightings, Relation, is_sure, relate
+from .relative_frame import PLACING_GUESSED, ROOM_REACH, Body, moved_track, mutual_sightings
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,8 +18,10 @@ from ..mapping.map_overlap import keyframe_map
 from ..mapping.merge import Merge, merge_maps
 from ..mapping.merge_search import Start
 from ..mapping.weave import Woven, weave
+from .config import PlacingConfig
 from .factors import InterRobotEdge
-from .relative_frame import PLACING_LEVER, SURE_THETA, WALLS_OFF, Body, Layout, PlacingConfig, Tie, moved_track
+from .relation import SURE_THETA
+from .relative_frame import PLACING_LEVER, WALLS_OFF, Body, Layout, Tie, moved_track
 
 NEAR = 0.01  # [s] by which a stamp may lie outside a track
 
