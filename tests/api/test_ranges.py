@@ -53,7 +53,8 @@ def test_the_solved_graph_that_is_written_solves_to_the_same_places(radios):
     written = read_pyfg(home / "out" / "graph.pyfg")
     assert len(written.network.ranges) == int((~result.estimate.far).sum())
     truth, _ = written.truth()
-    again = mapweave.solve_ranges(home / "out" / "graph.pyfg")
+    again = mapweave.solve_ranges(home / "out" / "graph.pyfg", home / "again")
+    assert mapweave.load(home / "again").metrics == again.metrics
     ate = mapweave.evaluate(again, home / "out" / "graph.pyfg").as_json()["robots"]
     assert len(truth) == 3
     assert all(robot["ate"] < 0.05 for robot in ate.values())

@@ -37,7 +37,7 @@ from ..io.directory import check_target
 from ..io.kept import kept_parts, part
 from ..report.exploration import write_exploration
 from ..report.laser_exploration import write_laser_exploration
-from ..report.result import ResultBase, Rows
+from ..report.result import ResultBase, Rows, written
 from ..report.style import Target
 
 Score = TypeVar("Score", bound=RunScore)
@@ -108,15 +108,11 @@ class ExploreOptions:
         decides what happens, so that finished runs can be kept;
         callbacks: who hears of the first run, by the names that `once` knows.
         """
-        if self.out is not None:
-            check_target(Path(self.out), force=self.force)
+        check_target(self.out, force=self.force)
         self.on_progress("exploring", 0, self.runs)
         with kept_parts() if ours else nullcontext():
             score, first = part(once, self.seed, **callbacks)
-            exploration = result(self._scored(score, many), first)
-            if self.out is not None:
-                exploration.write(self.out, force=self.force)
-        return exploration
+            return written(result(self._scored(score, many), first), self.out, force=self.force)
 
     def _scored(self, first: Score, many: Callable[[int, int, Executor | None], list[Score]]) -> tuple[Score, ...]:
         scores = [first]

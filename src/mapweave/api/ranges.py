@@ -14,7 +14,7 @@ from ..core.names import in_order, robot_key
 from ..core.paths import checked_arguments
 from ..core.version import __version__
 from ..core.workers import one_blas_thread
-from ..io.directory import check_target, result_directory, write_json
+from ..io.directory import check_target, write_json
 from ..io.fixes import write_georeferenced
 from ..io.points import read_points
 from ..io.pyfg import read_pyfg, write_pyfg
@@ -27,9 +27,9 @@ from ..mapping.woven_map import Georeference
 from ..ranges.estimate import PlacedPart, RangeEstimate, estimate
 from ..ranges.log import RangeLog, network_of
 from ..ranges.network import RangeNetwork
-from ..report.html import list_files, told_list
+from ..report.html import told_list
 from ..report.ranges import RangeStory, range_scene, write_range_report
-from ..report.result import ResultBase, Rows
+from ..report.result import ResultBase, Rows, written
 from ..report.score import headline_scores
 from ..report.style import Target
 from ..team.georeference import laid_ranges
@@ -221,11 +221,7 @@ def solve_ranges(file: Path | str, out: Path | str | None = None, *, force: bool
         raise DataError(f"{file}: expected ranges, found none: `solve_pose_graph` solves poses alone")
     notes = tuple(Finding("topics-chosen", value=warning) for warning in held.warnings)
     result = _result(held.network, str(file), notes, (), watch)
-    if out is not None:
-        with result_directory(Path(out), force=force) as work:
-            result.write_into(work)
-            list_files(work)
-    return result
+    return written(result, out, force=force)
 
 
 def applies(log: Path) -> bool:
