@@ -11,10 +11,13 @@ from mapweave.core.records import Scan, Track
 from mapweave.laser.closures import Closure
 from mapweave.laser.robot_graph import RobotGraph
 from mapweave.laser.scan_odometry import ScanInfo
+from mapweave.mapping.config import LaserConfig
+from mapweave.mapping.laser_mapping import map_laser
 from mapweave.mapping.segments import (
     GAP,
     JUMP,
     LEARNED,
+    LOOSE,
     REFUSED,
     SLIP,
     Borders,
@@ -25,7 +28,9 @@ from mapweave.mapping.segments import (
     segment_findings,
     still_apart,
     way_bent,
+    way_loose,
 )
+from mapweave.sim.laser_worlds import CorridorConfig, simulate_corridor
 
 STEP = np.array([0.3, 0.0, 0.1])
 
@@ -223,3 +228,25 @@ def test_a_way_bent_within_what_its_steps_may_err_by_or_over_a_border_is_not_tol
     assert way_bent(replace(bent(0.0, borders=(20,)), pose=leap)) == ()
     assert way_bent(replace(bent(0.0), pose=leap))
     assert way_bent(straight(n=4)) == ()
+
+
+def test_a_way_whose_covariances_say_that_it_may_be_off_by_metres_is_told_with_when():
+    graph = straight(n=60)
+    cov = np.tile(np.diag([1e-4, 1e-4, 1e-6]), (60, 1, 1))
+    cov[30:50, :2, :2] = se2.rotation(0.7) @ np.diag([LOOSE**2 * 1.2, 0.01]) @ se2.rotation(0.7).T
+    (told,) = way_loose(replace(graph, cov=cov))
+    assert (told.code, told.severity, told.robot) == ("way-loose", "doubtful", "1")
+    assert told.span == (graph.t[30], graph.t[49])
+    assert told.value == pytest.approx(LOOSE * np.sqrt(1.2))
+    cov[30:50] *= 0.8
+    assert way_loose(replace(graph, cov=cov)) == ()
+
+
+def test_a_bare_corridor_that_nothing_ties_is_not_called_good():
+    """What the covariances say, the verdict says; where light ties it, it is good."""
+    world = CorridorConfig(distance=150.0)
+    log = simulate_corridor(world, seed=0).log
+    made = map_laser(log, LaserConfig(method="graph", feature="none"), 0)
+    assert "way-loose" in {found.code for found in made.findings}
+    lit = map_laser(log, LaserConfig(method="graph"), 0)
+    assert all(found.severity == "note" for found in lit.findings)

@@ -97,6 +97,13 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "tell nothing.",
             "Look at the map there; say which places are false with `mapweave edit`.",
         ),
+        "way-loose": FindingKind(
+            "doubtful",
+            "where it was then is known to {value:.1f} m from where it began (one standard deviation)",
+            "Walls tell little along the way, as in a bare corridor, or nothing seen before ties a long way: the map "
+            "may be too long, too short or bent by as much.",
+            "Drive back over places seen before, tell positions along the way, or use a scanner that reaches farther.",
+        ),
         "log-parted": FindingKind(
             "note",
             "what its log holds from then on is another place, to which nothing ties it: it is mapped as {value}",

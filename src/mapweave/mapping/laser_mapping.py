@@ -48,7 +48,7 @@ from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import ScanOdometry, blended
 from .config import LaserConfig
 from .map_overlap import seen_through
-from .segments import LONG, bridged, held_over, segment_findings, way_bent
+from .segments import LONG, bridged, held_over, segment_findings, way_bent, way_loose
 from .session import LaserSession
 
 MOMENT_WITHIN = 0.002  # [s] in which a robot hardly moves
@@ -361,7 +361,10 @@ def map_session(
         measured = (*measured, *wheels_unlike(track, dead, robot))
     moving_returns = {"return of something that moves": session.moving.count} if session.moving.count else {}
     left = {} if graph is None else left_graph(graph)
-    cuts = () if graph is None else (*segment_findings(graph), *way_bent(graph), *seen_through(graph))
+    cuts: tuple[Finding, ...] = ()
+    if graph is not None:
+        cuts = (*segment_findings(graph), *way_bent(graph), *seen_through(graph))
+        cuts += () if any(found.code == "segment-apart" for found in cuts) else way_loose(graph)
     result = replace(
         result,
         scan_hash=log.scan_hash(),

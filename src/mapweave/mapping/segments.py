@@ -46,6 +46,7 @@ MANY, PATCHY = 20, 0.02  # keyframes, and cuts among them from which on a trajec
 DISPUTED = 3.0  # sd by which places put a robot elsewhere over a gap than its wheels
 STRETCHES = (10, 20, 40)  # steps of a trajectory that places may have bent,
 BENT, BENT_SDS = 0.5, 5.5  # by more than this [m], and so many standard deviations of the steps together
+LOOSE = 1.25  # [m] sd of a place seen from where the robot began, beyond which its map is not good
 LONG = 3.0  # [m] of way from which on it matters that a piece shares no place with what came before
 
 
@@ -214,6 +215,16 @@ def way_bent(graph: RobotGraph) -> tuple[Finding, ...]:
     first, last = worst[2], worst[3]
     value = {"value": worst[1], "way": float(graph.path[last] - graph.path[first]), "sd": worst[0]}
     return (Finding("way-bent", graph.robot, (float(graph.t[first]), float(graph.t[last])), value),)
+
+
+def way_loose(graph: RobotGraph) -> tuple[Finding, ...]:
+    """A finding where the covariances say that the trajectory may be off by more than a map is good for."""
+    sd = np.sqrt(np.linalg.eigvalsh(graph.cov[:, :2, :2])[:, 1])
+    loose = np.flatnonzero(sd > LOOSE)
+    if not len(loose):
+        return ()
+    span = (float(graph.t[loose[0]]), float(graph.t[loose[-1]]))
+    return (Finding("way-loose", graph.robot, span, float(sd.max())),)
 
 
 def still_apart(findings: Sequence[Finding], graph: RobotGraph, held: Sequence[int]) -> tuple[Finding, ...]:
