@@ -24,6 +24,7 @@ from mapweave.live.shared_map import SharedMap
 from mapweave.live.store import Store
 from mapweave.live.tile_mapper import Standing, TileMapper
 from mapweave.live.tiles import COARSER, LEVELS, SIDE, is_tile, pack
+from mapweave.mapping import known_places
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.merge import MapClosure, Merge, merge_maps
 from mapweave.mapping.merge_search import MergeConfig
@@ -342,16 +343,18 @@ def test_a_driven_estimate_is_that_of_the_whole_log_and_keeps_returns_of_keyfram
     assert sum(b.s.size for b in whole._state().scans) > 0
 
 
-def leaving(cfg, enough=1):
+@pytest.fixture
+def leaving(monkeypatch):
     """Settings with which keyframes leave as soon as a place was found again."""
-    eager = replace(cfg.graph.known_places, enough=enough, near=50.0, turn=4.0, far=0.0)
-    return replace(cfg, graph=replace(cfg.graph, known_places=eager))
+    for name, value in (("KNOWN_NEAR", 50.0), ("KNOWN_TURN", 4.0), ("KNOWN_FAR", 0.0)):
+        monkeypatch.setattr(known_places, name, value)
+    eager = replace(CFG.graph.known_places, enough=1)
+    return replace(CFG, graph=replace(CFG.graph, known_places=eager))
 
 
-def test_keyframes_of_a_driven_estimate_leave_as_those_of_a_log_and_are_known_by_their_scans():
+def test_keyframes_of_a_driven_estimate_leave_as_those_of_a_log_and_are_known_by_their_scans(leaving):
     log = drives()[0].log
-    cfg = leaving(CFG)
-    whole, driven = LaserSession(log.robot, cfg), DrivenSession(log.robot, cfg)
+    whole, driven = LaserSession(log.robot, leaving), DrivenSession(log.robot, leaving)
     went, known = {}, {}
     for event in log.events():
         whole.push(event)
@@ -377,10 +380,10 @@ def test_keyframes_of_a_driven_estimate_leave_as_those_of_a_log_and_are_known_by
 
 
 @pytest.mark.slow
-def test_a_team_whose_keyframes_leave_stays_one_map_of_those_that_stay(tmp_path):
+def test_a_team_whose_keyframes_leave_stays_one_map_of_those_that_stay(tmp_path, leaving):
     store, heard = filled(tmp_path / "s.sqlite")
     with store:
-        team = LiveLaserTeam(store, leaving(CFG), docked)
+        team = LiveLaserTeam(store, leaving, docked)
         for share in (0.6, 1.0):
             while team.follow({name: round(share * n) for name, n in heard.items()}):
                 pass
