@@ -242,6 +242,14 @@ def test_a_way_whose_covariances_say_that_it_may_be_off_by_metres_is_told_with_w
     assert way_loose(replace(graph, cov=cov)) == ()
 
 
+def test_a_piece_that_nothing_ties_to_the_start_is_not_told_to_be_loose():
+    cov = np.tile(1e-4 * np.eye(3), (60, 1, 1))
+    cov[56:] = 1e4 * np.eye(3)  # too short to be told as apart
+    assert way_loose(replace(straight((56,), n=60), cov=cov)) == ()
+    (told,) = way_loose(replace(straight((56,), ((10, 57),), n=60), cov=cov))
+    assert told.span == (56.0, 59.0)
+
+
 def test_a_bare_corridor_that_nothing_ties_is_not_called_good():
     """What the covariances say, the verdict says; where light ties it, it is good."""
     world = CorridorConfig(distance=150.0)

@@ -361,10 +361,8 @@ def map_session(
         measured = (*measured, *wheels_unlike(track, dead, robot))
     moving_returns = {"return of something that moves": session.moving.count} if session.moving.count else {}
     left = {} if graph is None else left_graph(graph)
-    cuts: tuple[Finding, ...] = ()
-    if graph is not None:
-        cuts = (*segment_findings(graph), *way_bent(graph), *seen_through(graph))
-        cuts += () if any(found.code == "segment-apart" for found in cuts) else way_loose(graph)
+    told_by_graph = (segment_findings, way_bent, way_loose, seen_through)
+    cuts = () if graph is None else tuple(found for tell in told_by_graph for found in tell(graph))
     result = replace(
         result,
         scan_hash=log.scan_hash(),

@@ -218,8 +218,13 @@ def way_bent(graph: RobotGraph) -> tuple[Finding, ...]:
 
 
 def way_loose(graph: RobotGraph) -> tuple[Finding, ...]:
-    """A finding where the covariances say that the trajectory may be off by more than a map is good for."""
-    sd = np.sqrt(np.linalg.eigvalsh(graph.cov[:, :2, :2])[:, 1])
+    """A finding where the covariances say that the trajectory may be off by more than a map is good for.
+
+    A piece that nothing ties to where the robot began has no place that could be sure, and `segment-apart` tells it.
+    """
+    cuts, piece = _pieces(graph)
+    tied = np.repeat(np.asarray(piece) == piece[0], np.diff([0, *cuts, len(graph)]))
+    sd = np.where(tied, np.sqrt(np.linalg.eigvalsh(graph.cov[:, :2, :2])[:, 1]), 0.0)
     loose = np.flatnonzero(sd > LOOSE)
     if not len(loose):
         return ()
