@@ -22,6 +22,19 @@ def test_logs_of_two_robots_are_left_as_they_are():
     assert all(a is b for a, b in zip(with_copies_marked(logs), logs, strict=True))
 
 
+def test_logs_of_many_robots_are_sorted_once_each_and_once_together(monkeypatch):
+    sorts, unique = [], np.unique
+
+    def counted(*args, **kw):
+        sorts.append(len(args[0]))
+        return unique(*args, **kw)
+
+    logs = [a_log(f"robot{k}", k) for k in range(1, 21)]
+    monkeypatch.setattr(np, "unique", counted)
+    with_copies_marked(logs)
+    assert sorts == [59] * 20 + [20 * 59]
+
+
 @pytest.mark.parametrize("change", ["later", "without robots", "a part"])
 def test_a_copy_carries_the_hash_of_the_first_and_says_so(change):
     log, other = a_log("robot1", 1, 200), a_log("robot2", 2)

@@ -7,7 +7,7 @@ from mapweave.core import se2
 from mapweave.core.landmark_log import NOTHING_SEEN, LandmarkLog, SightingTable
 from mapweave.core.records import Track
 from mapweave.team.config import PlacingConfig, SmoothingConfig
-from mapweave.team.relative_frame import Body, lay_out
+from mapweave.team.relative_frame import Body, agreeing_sightings, lay_out
 
 SPEED = 0.12  # [m/s] of the robot without wheels
 
@@ -67,3 +67,26 @@ def test_robots_are_not_tied_by_one_landmark_however_often_it_was_seen(shared):
     off = layout.bodies[0].tracks["robot2"].pose - se2.compose(T, way)
     assert tie.agree >= 100
     assert np.abs(off[:, :2]).max() < 0.2
+
+
+def test_poses_are_asked_for_sightings_of_the_other_body_alone(monkeypatch):
+    robots, each = 8, 10
+    names = tuple(f"robot{k}" for k in range(robots))
+    span = np.array([0.0, 100.0])
+    body = Body({name: Track(span, np.tile([float(k), 0.0, 0.0], (2, 1))) for k, name in enumerate(names)}, {})
+    what = np.repeat(np.arange(robots), each)
+    t = np.arange(len(what), dtype=float)
+    logs = {
+        name: LandmarkLog(name, None, SightingTable(t, what, np.ones(len(t)), np.zeros(len(t)), names))
+        for name in names
+    }
+    asked, pose = [], Body.pose
+
+    def counted(self, robot, t):
+        asked.append(len(t))
+        return pose(self, robot, t)
+
+    monkeypatch.setattr(Body, "pose", counted)
+    _, of = agreeing_sightings("robot3", body, logs, {}, PlacingConfig())
+    assert of == 2 * (robots - 1) * each
+    assert sum(asked) == 2 * of

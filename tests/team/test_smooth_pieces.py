@@ -7,11 +7,12 @@ import pytest
 
 from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.solve import Cauchy
+from mapweave.team import problem
 from mapweave.team import smooth as smoothing
 from mapweave.team.config import SmoothingConfig
 from mapweave.team.covariance import _with_size
 from mapweave.team.known import PlacePriors
-from mapweave.team.problem import WIDER, team_problem, with_fewer_poses
+from mapweave.team.problem import WIDER, most_poses, team_problem, with_fewer_poses
 from mapweave.team.robot_part import PARAMETERS, count_instants
 from mapweave.team.smooth import RANGE_BESIDE_LASER, _beside_laser, _enlarged, smooth
 from mapweave.team.team_map import TeamMap
@@ -108,6 +109,24 @@ def test_steps_are_made_longer_until_poses_are_few_enough_and_no_longer(made):
         assert cfg.longest_step >= max(CFG.longest_step, cfg.shortest_step)
     alone = with_fewer_poses((one, two), replace(CFG, most_poses=10), {"robot2"})  # scans tell where robot2's stand
     assert poses(alone, (one,)) <= 10 < poses(alone)
+
+
+def test_of_a_crowd_that_sees_itself_fewer_poses_are_estimated_by_the_square_of_its_size(made, monkeypatch):
+    logs = made[0]
+    cfg = replace(CFG, most_poses=40)
+    assert most_poses(logs, cfg) == 40
+    fewer = with_fewer_poses(logs, replace(CFG, most_poses=10), ()).shortest_step
+    monkeypatch.setattr(problem, "CROWD", 1)
+    assert most_poses(logs, cfg) == 10
+    assert most_poses(logs, replace(cfg, robot_sightings=False)) == 40
+    assert with_fewer_poses(logs, cfg, ()).shortest_step == fewer
+
+
+def test_every_step_of_the_solver_is_told(made):
+    logs, landmarks, tracks = made
+    steps = []
+    done = smooth(TeamMap(tuple(tracks), landmarks, tracks), logs, {}, CFG, on_step=lambda: steps.append(1))
+    assert len(steps) == done.iterations > 1
 
 
 def test_an_enlarged_team_has_all_lengths_multiplied_and_every_angle_as_it_was(made):

@@ -44,6 +44,9 @@ from .team import TeamResult, Watch, carried, fuse_online, team_maps, team_resul
 
 NO_STEP = OnlineStep(0, 0, 0, 0.0)
 FULL = 3  # landmarks in common by which two maps are laid over each other
+STEP = (
+    0.05  # share of what is left of a smoothing that a step of the solver is told to be: some twenty to sixty are made
+)
 
 
 def smooth_online(
@@ -332,6 +335,20 @@ class _Builders:
         return fuse(maps, self.cfg.fuse, {m.robot: m.source for m in maps})
 
 
+@dataclass(slots=True)
+class _Steps:
+    """Tells of each step of the solver: how many there will be nobody knows, so each is a share of what is left."""
+
+    on_progress: Progress
+    component: int
+    of: int
+    left: float = 1.0
+
+    def __call__(self) -> None:
+        self.left *= 1.0 - STEP
+        self.on_progress("smoothing", self.component + 1.0 - self.left, self.of)
+
+
 def _smoothed(
     maps: Sequence[TeamMap],
     logs: Sequence[LandmarkLog],
@@ -355,9 +372,10 @@ def _smoothed(
         start = team if run is None or k else closing_start(run, team, ONLINE_FAR)
         began = perf_counter()
         start = start if places is None else framed(start, places)
-        done = smooth_on_one_clock(start, logs, fusion.labels, cfg, known, far, places)
+        told = _Steps(options.on_progress, k, len(maps))
+        done = smooth_on_one_clock(start, logs, fusion.labels, cfg, known, far, places, told)
         if done.refused and start is not team:
-            done = smooth_on_one_clock(team, logs, fusion.labels, cfg, known, far, places)
+            done = smooth_on_one_clock(team, logs, fusion.labels, cfg, known, far, places, told)
         notes = (
             *done.notes,
             *(back if k == 0 else ()),

@@ -13,7 +13,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
+import scipy.sparse as sp
+from jaxtyping import Bool, Float
 
 from ..core.findings import Finding
 from ..core.landmark_log import LandmarkLog, SightingTable
@@ -85,10 +86,10 @@ def _side(a: LandmarkMap, b: LandmarkMap) -> int:
 
 def with_copies_marked(logs: Sequence[LandmarkLog]) -> list[LandmarkLog]:
     """The logs in their order; one that repeats an earlier one carries its hash and a finding."""
-    seen = [_successive(log) for log in logs]
+    same = _same([_successive(log) for log in logs])
     known: list[LandmarkLog] = []
     for k, log in enumerate(logs):
-        first = next((i for i in range(k) if _same(seen[i], seen[k])), None)
+        first = next(iter(np.flatnonzero(same[k, :k]).tolist()), None)
         if first is None or known[first].log_hash == log.log_hash:
             known.append(log)
             continue
@@ -106,8 +107,11 @@ def _successive(log: LandmarkLog) -> Float[np.ndarray, "n 4"]:
     return once if len(once) >= COPIES_VARIED * len(pairs) else np.zeros((0, 4))
 
 
-def _same(a: Float[np.ndarray, "n 4"], b: Float[np.ndarray, "m 4"]) -> bool:
-    least = min(len(a), len(b))
-    if least < COPIES_PAIRS:
-        return False
-    return len(a) + len(b) - len(np.unique(np.concatenate([a, b]), axis=0)) >= COPIES_SHARE * least
+def _same(pairs: Sequence[Float[np.ndarray, "_ 4"]]) -> Bool[np.ndarray, "m m"]:
+    """Of each of m logs and each other whether they hold the same; pairs: of each, every one once."""
+    count = np.array([len(p) for p in pairs], dtype=np.int64)
+    which = np.unique(np.concatenate([np.zeros((0, 4)), *pairs]), axis=0, return_inverse=True)[1].ravel()
+    log = np.repeat(np.arange(len(pairs)), count)
+    holds = sp.csr_array((np.ones(len(log)), (log, which)), shape=(len(pairs), int(which.max(initial=-1)) + 1))
+    least = np.minimum.outer(count, count)
+    return np.asarray((least >= COPIES_PAIRS) & ((holds @ holds.T).toarray() >= COPIES_SHARE * least))

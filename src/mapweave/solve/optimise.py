@@ -101,10 +101,15 @@ class Solution:
         return self.information
 
 
-def minimise(problem: Problem, cfg: SolveConfig | None = None, pattern: Pattern | None = None) -> Solution:
+def minimise(
+    problem: Problem,
+    cfg: SolveConfig | None = None,
+    pattern: Pattern | None = None,
+    on_step: Callable[[], None] | None = None,
+) -> Solution:
     """The local minimum of `problem` from its start; a failure is a status, never an exception.
 
-    `pattern` may be handed in when the same structure is solved again.
+    `pattern` may be handed in when the same structure is solved again; on_step: called before every step.
     """
     cfg = cfg or SolveConfig()
     pattern = pattern or Pattern.of(problem)
@@ -116,6 +121,8 @@ def minimise(problem: Problem, cfg: SolveConfig | None = None, pattern: Pattern 
     step = np.zeros(len(x))
     while iterations < cfg.max_iterations:
         iterations += 1
+        if on_step is not None:
+            on_step()
         try:
             dx = Information.of(_damped(pattern, H, damping), pattern.elimination).solve(-g)
         except SingularError:

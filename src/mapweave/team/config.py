@@ -99,7 +99,8 @@ class SmoothingConfig:
     robot_sightings: bool = True  # whether sightings of other robots tie trajectories
     longest_step: float = 2.0  # [s] between two poses that are estimated
     shortest_step: float = 0.5  # [s] between two poses that are estimated; sightings between go by the nearest
-    most_poses: int = 50_000  # that are estimated, about: beyond it both steps are made longer, and it is told
+    # that are estimated, about, of over a hundred robots that see each other fewer, by the square of how many they are:
+    most_poses: int = 50_000  # beyond it both steps are made longer, and it is told
 
 
 @config

@@ -5,7 +5,7 @@ The gauge is the first pose of the first robot, which is held; where nothing tha
 robot's first pose is held too.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,6 +37,7 @@ from .robot_part import (
 
 SMOOTHING_ITERATIONS = 40  # steps of the solver, at most
 
+CROWD = 100  # robots of one field, up to which all poses that the settings allow are estimated
 WIDER, LONGEST = 1.25, 30.0  # times as long are steps made at a time where poses are too many, and [s] at most
 OF_ALL = frozenset({"prior", "scale", "size"})  # factors that say nothing of where anything is
 HELD_TOGETHER = 0.001  # share of the size of a map that nothing but ranges tells: so firmly it is held
@@ -80,13 +81,18 @@ class TeamProblem:
         node = _nodes(len(self.problem.x0), self.landmark_start, parameters)[free]
         return pattern.least_fill(node, free >= self.landmark_start)
 
-    def solve(self, start: Float[np.ndarray, " n"] | None = None, pattern: Pattern | None = None) -> Solution:
+    def solve(
+        self,
+        start: Float[np.ndarray, " n"] | None = None,
+        pattern: Pattern | None = None,
+        on_step: Callable[[], None] | None = None,
+    ) -> Solution:
         """The minimum near the start (or near `start`); `pattern`: where it is known already."""
         problem = self.problem if start is None else replace(self.problem, x0=start)
         limits = SolveConfig(
             max_iterations=SMOOTHING_ITERATIONS, damping=1e-4, step_tolerance=1e-4, cost_tolerance=5e-5
         )
-        return minimise(problem, limits, pattern or self.pattern)
+        return minimise(problem, limits, pattern or self.pattern, on_step)
 
     def softened(self, width: float) -> "TeamProblem":
         """The same problem with every robust kernel `width` times as wide: far starts still feel what they saw."""
@@ -243,21 +249,29 @@ def _first_of_groups(
 
 
 def with_fewer_poses(logs: Sequence[LandmarkLog], cfg: SmoothingConfig, scanning: Collection[str]) -> SmoothingConfig:
-    """`cfg` with steps so long that about `cfg.most_poses` poses of `logs` are estimated; as it is where fewer are.
+    """`cfg` with steps so long that about `most_poses` of `logs` are estimated; as it is where fewer are.
 
     The time and the memory that a team takes grow faster than its poses: a hundred robots with a pose each half a
     second would take 13 GB. scanning: robots whose poses stand at their keyframes.
     """
     seen_at = seen_when(logs, [log.robot for log in logs]) if cfg.robot_sightings else {}
     driving, nobody = [log for log in logs if log.robot not in scanning], np.zeros(0)
-    while (
-        cfg.shortest_step < LONGEST
-        and sum(count_instants(log, seen_at.get(log.robot, nobody), cfg) for log in driving) > cfg.most_poses
-    ):
+    while cfg.shortest_step < LONGEST and sum(
+        count_instants(log, seen_at.get(log.robot, nobody), cfg) for log in driving
+    ) > most_poses(logs, cfg):
         cfg = replace(
             cfg, shortest_step=WIDER * cfg.shortest_step, longest_step=max(cfg.longest_step, 2.5 * cfg.shortest_step)
         )
     return cfg
+
+
+def most_poses(logs: Sequence[LandmarkLog], cfg: SmoothingConfig) -> int:
+    """How many poses of `logs` are estimated, about: where robots see each other, fewer of a team of more than `CROWD`.
+
+    All that are in sight of each other at one time are eliminated together: a pose costs the square of their number.
+    """
+    crowd = len(logs) if cfg.robot_sightings else 0
+    return round(cfg.most_poses * min(1.0, CROWD / max(crowd, 1)) ** 2)
 
 
 def seen_when(logs: Sequence[LandmarkLog], names: Sequence[str]) -> dict[str, Float[np.ndarray, " s"]]:

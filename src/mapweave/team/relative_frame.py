@@ -157,30 +157,34 @@ def mutual_sightings(a: Body, b: Body, logs: Mapping[str, LandmarkLog], labels: 
 def _of_robot(
     robot: str, own: Body, other: Body, log: LandmarkLog, labels: Labels, *, forward: bool
 ) -> list[MutualSightings]:
-    table = all_seen(log)
-    if not len(table):
-        return []
-    here, names = own.believed(robot, table.t), labels.get(robot, {})
-    if not here.any():
+    table, names = all_seen(log), labels.get(robot, {})
+    called = [names.get(name, name) for name in table.ids]
+    wanted = [
+        k
+        for k, name in enumerate(table.ids)
+        if name != robot and (name not in own.tracks if name in other.tracks else called[k] in other.landmarks)
+    ]
+    looked = np.flatnonzero(np.isin(table.what, wanted))  # poses of a track are most of the work
+    looked = looked[own.believed(robot, table.t[looked])]
+    if not len(looked):
         return []
     pose = np.zeros((len(table), 3))
-    pose[here] = own.pose(robot, table.t[here])
+    pose[looked] = own.pose(robot, table.t[looked])
     out = []
-    for k, name in enumerate(table.ids):
-        rows = np.flatnonzero((table.what == k) & here)
-        if name == robot or not len(rows):
+    for k in wanted:
+        rows, name = looked[table.what[looked] == k], table.ids[k]
+        if not len(rows):
             continue
         if name in other.tracks:
-            if name in own.tracks:
-                continue
             rows = rows[other.believed(name, table.t[rows])]
-            point = other.pose(name, table.t[rows])[:, :2]
-        elif names.get(name, name) in other.landmarks:
-            point = np.tile(other.landmarks[names.get(name, name)], (len(rows), 1))
+            out.append(
+                _mutual_sightings(
+                    table, rows, pose[rows], other.pose(name, table.t[rows])[:, :2], name, forward=forward
+                )
+            )
         else:
-            continue
-        what = name if name in other.tracks else names.get(name, name)
-        out.append(_mutual_sightings(table, rows, pose[rows], point, what, forward=forward))
+            point = np.tile(other.landmarks[called[k]], (len(rows), 1))
+            out.append(_mutual_sightings(table, rows, pose[rows], point, called[k], forward=forward))
     return out
 
 

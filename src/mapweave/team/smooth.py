@@ -5,7 +5,7 @@ a little and makes sightings of each other count less; what still pulls tells ho
 stamps are moved as it seems, and the team is smoothed again, until no clock moves any more.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -43,7 +43,7 @@ from .config import (
 from .covariance import TeamCovariance, team_covariance
 from .factors import InterRobotEdge
 from .known import PlacePriors
-from .problem import TeamProblem, team_problem, with_fewer_poses
+from .problem import TeamProblem, most_poses, team_problem, with_fewer_poses
 from .robot_part import PARAMETERS, RobotPart
 from .team_map import TeamMap
 
@@ -101,6 +101,7 @@ def smooth(
     soften: Sequence[float] = (),
     known: PlacePriors | None = None,
     clocks: Collection[str] = (),
+    on_step: Callable[[], None] | None = None,
 ) -> Smoothed:
     """`team` with all of `logs` (those of its robots) worked into one least-squares problem, started at the filters'.
 
@@ -108,10 +109,11 @@ def smooth(
     of the prior; a standard deviation of 0 holds a value. scans[robot]: the keyframes of a robot with a laser;
     crossings: those of two robots that were matched. soften: before the end, every kernel is so many times as wide, one
     after the other, for starts that are far off: then other ways are gone too, the end that fits best is taken, and one
-    elsewhere that fits about as well is told; known: places known beforehand, in the map's frame; clocks: robots
-    whose clocks are told however little they are off. Poses stand at every odometry and sighting stamp. Where the
-    problem has no minimum near the start, the map stays as it was and `refused` says why. Where nobody has wheels or a
-    laser the map is larger than the filters' by what maps made of ranges alone fall short (`bare_range_scale`).
+    elsewhere that fits about as well is told; known: places known beforehand, in the map's frame; clocks: robots whose
+    clocks are told however little they are off; on_step: called before every step of the solver. Poses stand at every
+    odometry and sighting stamp. Where the problem has no minimum near the start, the map stays as it was and `refused`
+    says why. Where nobody has wheels or a laser the map is larger than the filters' by what maps made of ranges alone
+    fall short (`bare_range_scale`).
     """
     own = {log.robot: log for log in logs}
     chosen = [own[robot] for robot in team.robots if robot in own]
@@ -124,7 +126,7 @@ def smooth(
     if not chosen:
         return _kept(team, cfg, "nobody saw anything")
     wider = assumed(chosen, cfg, scans)
-    notes = () if wider.shortest_step == cfg.shortest_step else (_told_of_steps(wider),)
+    notes = () if wider.shortest_step == cfg.shortest_step else (_told_of_steps(wider, most_poses(chosen, cfg)),)
     cfg, start = wider, team
     if of_ranges_alone(chosen, scans) and len(team.landmarks) > 2:
         cfg = replace(cfg, calibration=replace(cfg.calibration, range_scale=BARE_RANGE_SCALE))
@@ -135,7 +137,7 @@ def smooth(
     if not set(problem.used) - {"scan"}:
         return _kept(team, cfg, "nobody saw a landmark of the map or another robot", problem)
     pattern = problem.pattern
-    solution, *others = _minima(problem, soften, pattern)
+    solution, *others = _minima(problem, soften, pattern, on_step)
     if not _ended(solution):
         return _kept(team, cfg, f"the problem of the whole team is {solution.status}", problem, solution)
     try:
@@ -167,14 +169,16 @@ def _ended(solution: Solution) -> bool:
     return solution.status not in {SolveStatus.SINGULAR, SolveStatus.DIVERGED} and bool(np.isfinite(solution.x).all())
 
 
-def _minima(problem: TeamProblem, soften: Sequence[float], pattern: Pattern) -> list[Solution]:
+def _minima(
+    problem: TeamProblem, soften: Sequence[float], pattern: Pattern, on_step: Callable[[], None] | None
+) -> list[Solution]:
     """Where the problem ends by each way to an end, the best first; by one way where the start is near."""
     ends = []
     for widths in dict.fromkeys([tuple(soften), *(SMOOTHING_OTHERWISE if soften else ())]):
         x = None
         for width in widths:
-            x = problem.softened(width).solve(x, pattern).x
-        ends.append(problem.solve(x, pattern))
+            x = problem.softened(width).solve(x, pattern, on_step).x
+        ends.append(problem.solve(x, pattern, on_step))
     return sorted(ends, key=lambda end: (not _ended(end), end.cost))
 
 
@@ -232,8 +236,8 @@ def assumed(logs: Sequence[LandmarkLog], cfg: SmoothingConfig, scans: Collection
     return with_fewer_poses(logs, cfg, scans)
 
 
-def _told_of_steps(cfg: SmoothingConfig) -> Finding:
-    return Finding("steps-longer", value={"step": cfg.shortest_step, "poses": cfg.most_poses})
+def _told_of_steps(cfg: SmoothingConfig, most: int) -> Finding:
+    return Finding("steps-longer", value={"step": cfg.shortest_step, "poses": most})
 
 
 def _beside_laser(camera: CameraNoise) -> CameraNoise:
@@ -332,6 +336,7 @@ def smooth_on_one_clock(
     calibration: Mapping[str, Calibration] | None = None,
     soften: Sequence[float] = (),
     known: PlacePriors | None = None,
+    on_step: Callable[[], None] | None = None,
 ) -> Smoothed:
     """`smooth`, stamps of robots whose clocks are off by `cfg.clocks.least` [s] or more moved to the others' clock.
 
@@ -343,7 +348,9 @@ def smooth_on_one_clock(
         shifted = [with_earlier_stamps(log, clocks.get(log.robot, 0.0)) for log in logs]
         tracks = {r: replace(track, t=track.t - clocks.get(r, 0.0)) for r, track in team.tracks.items()}
         first = replace(team, tracks=tracks) if clocks else team
-        return smooth(first, shifted, labels, cfg, calibration, soften=soften, known=known, clocks=clocks)
+        return smooth(
+            first, shifted, labels, cfg, calibration, soften=soften, known=known, clocks=clocks, on_step=on_step
+        )
 
     as_is = done = on({})
     ahead: dict[str, float] = {}
