@@ -124,20 +124,23 @@ def solve_graph(
     fixed: Sequence[int] = (),
     priors: Sequence[Prior] = (),
     doubtful: Bool[np.ndarray, " m"] | None = None,
+    unasked: Bool[np.ndarray, " m"] | None = None,
 ) -> SolvedGraph:
     """The optimum of `graph`, from the poses it has.
 
     fixed: poses held where they are; without these and without priors the first one is. doubtful: (m,) the edges that
-    may be dropped; without, all that do not tie a pose to the next. Of every connected part one pose at
-    least is held. Raises DataError when an information matrix is not positive definite or a number is not finite.
+    may be dropped; without, all that do not tie a pose to the next. unasked: (m,) those of them that are believed only
+    where they fit what the others say. Of every connected part one pose at least is held. Raises DataError when an
+    information matrix is not positive definite or a number is not finite.
     """
     cfg = cfg or RobustGraphConfig()
     _check(graph, fixed, priors)
     held = tuple(sorted({*fixed})) or (() if priors else (0,))
     may = (np.abs(graph.second - graph.first) != 1) if doubtful is None else doubtful
-    used, rounds, iterations, x = np.ones(graph.edges, dtype=bool), 0, 0, graph.pose
-    if cfg.method != "none" and may.any():
-        used, x, rounds, iterations = _believed(graph, cfg, held, priors, may)
+    asked = np.ones(graph.edges, dtype=bool) if unasked is None else ~unasked
+    used, rounds, iterations, x = asked, 0, 0, graph.pose
+    if cfg.method != "none" and (may & asked).any():
+        used, x, rounds, iterations = _believed(graph, cfg, held, priors, may, asked)
     first, refused = held, np.zeros(graph.edges, dtype=bool)
     for _ in range(REVISIONS):
         component, held = _components(graph, used, first, priors)
@@ -158,9 +161,9 @@ def solve_graph(
         if worst is None:
             break
         used[worst], refused[worst] = False, True
-    pose = x
-    solved = replace(graph, pose=pose)
+    solved = replace(graph, pose=x)
     nis, before = _squares(solved), _squares(graph)
+    middle = float(np.median(nis[used & may])) if (used & may).any() else 0.0
     prior_before = _prior_squares(priors, graph.pose)
     return SolvedGraph(
         graph=solved,
@@ -170,12 +173,7 @@ def solve_graph(
         fixed_nis=frozen(_fixed_squares(solved, used, component, held, priors)),
         component=frozen(component, np.int64),
         fixed=held,
-        dropped=tuple(
-            _dropped(
-                graph, k, float(nis[k]), CONTRADICTION, float(np.median(nis[used & may])) if (used & may).any() else 0.0
-            )
-            for k in np.flatnonzero(~used).tolist()
-        ),
+        dropped=tuple(_dropped(graph, k, float(nis[k]), CONTRADICTION, middle) for k in np.flatnonzero(~used).tolist()),
         chi2_before=float(before[used].sum() + prior_before.sum()),
         chi2=solution.chi2,
         dof=solution.dof,
@@ -192,16 +190,17 @@ def _believed(
     held: tuple[int, ...],
     priors: Sequence[Prior],
     may: np.ndarray,
+    asked: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, int, int]:
-    """(which edges are believed (m,), poses (n, 3), solves, iterations)."""
-    _, held = _components(graph, np.ones(graph.edges, dtype=bool), held, priors)
-    weight = np.ones(graph.edges)
+    """(which of the edges `asked` are believed (m,), poses (n, 3), solves, iterations)."""
+    _, held = _components(graph, asked, held, priors)
+    weight, may = asked.astype(float), may & asked
     if cfg.method == "cauchy":
         problem = _problem(graph, weight, held, priors, Cauchy(ROBUST_GRAPH_KERNEL), may)
         solution = minimise(problem, ROBUST_SOLVE, Pattern.of(problem).in_threes())
         pose = solution.x.reshape(-1, 3)
         beyond = may & (_squares(replace(graph, pose=pose)) > CONTRADICTION)
-        return ~beyond, pose, 1, solution.iterations
+        return asked & ~beyond, pose, 1, solution.iterations
     step = replace(ROBUST_SOLVE, max_iterations=10, step_tolerance=1e-5, cost_tolerance=1e-5)
     pattern = Pattern.of(_problem(graph, weight, held, priors, None)).in_threes()
     pose, iterations, control = graph.pose, 0, 0.0
@@ -213,15 +212,15 @@ def _believed(
         if rounds == 1:
             worst = float(s[may].max())
             if worst <= CONTRADICTION:
-                return np.ones(graph.edges, dtype=bool), pose, rounds, iterations
+                return asked, pose, rounds, iterations
             control = CONTRADICTION / (2.0 * worst - CONTRADICTION)  # [Yang20] remark 5
         high = (control + 1.0) / control * CONTRADICTION
-        weight = np.where(may, truncated_weights(s, CONTRADICTION, control), 1.0)
+        weight = np.where(may, truncated_weights(s, CONTRADICTION, control), asked)
         control *= ROBUST_GRAPH_GROWTH
         if ((weight > 1.0 - 1e-6) | (weight <= FADED)).all() and high < 1.05 * CONTRADICTION:
             break
     s = _squares(replace(graph, pose=pose))
-    return ~may | (s <= CONTRADICTION), pose, rounds, iterations
+    return asked & (~may | (s <= CONTRADICTION)), pose, rounds, iterations
 
 
 def _worst(graph: PoseGraph, solution: Solution, asked: np.ndarray) -> int | None:

@@ -219,10 +219,10 @@ def _grow(state: GraphState, cfg: LaserConfig, row: int, keyframe: Keyframe | No
         graph.tie(loop.first, loop.second, loop.match)
     innovations = [graph.closures[k].innovation for k in range(-len(found), 0)]
     if found and (graph.grown or (not graph.settled and _moved(innovations))):
-        graph.settle(steps_too=False)
+        graph.settle(for_now=True)
     if not found:
         return range(0)
-    left = state.known.step(graph, number, found[-1].second, lambda i, k: _laid(state, i, k))
+    left = state.known.step(graph, number, lambda i, k: _laid(state, i, k))
     if left is None:
         return range(0)
     loops.forget(left.first, left.last)

@@ -4,7 +4,7 @@ from bisect import bisect_left
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ..core import se2
 from ..core.config import config
@@ -27,6 +27,8 @@ SLIPPED = 1.0  # sd, of a step over a border, that steps in a row may be wrong b
 ALONE = 5  # keyframes between two such rows, at least
 NEAR, RIVALS = 3.0, 30  # sd of a step over a gap that places there may lie from it; times as many elsewhere
 SELDOM = 0.02  # of the keyframes must be new before it is decided again which places hold, however far those move it
+ANEW = 1.25  # times the keyframes there were when all places were asked last: then all are asked anew,
+ASKED = 10_000  # of those that did not hold before at most, which lie least far from what the others say
 ELSEWHERE = "it lies elsewhere than what came after the border"
 UNDECIDED = "found, and not decided on yet"
 CARRIED = 16.0  # squared sd by which the places that hold contradict a step over a border that tells nothing, and
@@ -68,7 +70,8 @@ class KeyframeGraph:
         self.closures: list[Closure] = []
         self.solved: Solved | None = None
         self.due = False  # a closure says that poses are elsewhere
-        self._settled = 0  # how many keyframes there were when it was decided last which closures hold
+        self._settled = 0  # how many keyframes there were when it was decided last which closures hold, and
+        self._asked = 0  # when those were asked, too, that did not hold before
         self._since: list[np.ndarray] = []  # covariance of each seen from its robot's last solved one before it
 
     def __len__(self) -> int:
@@ -102,7 +105,7 @@ class KeyframeGraph:
         other.nodes, other.closures, other._since = list(self.nodes), list(self.closures), list(self._since)
         other.of = [list(of) for of in self.of]
         other.pose, other.robot, other.path = np.array(self.pose), self.robot, self.path
-        other._settled = self._settled
+        other._settled, other._asked = self._settled, self._asked
         other.due, other.solved = self.due, None if self.solved is None else self.solved.copy()
         return other
 
@@ -255,14 +258,19 @@ class KeyframeGraph:
         self.due = False
         self.solved.prepare([of[-1] for of in self.of if of])
 
-    def settle(self, *, steps_too: bool = True) -> None:
+    def settle(self, *, for_now: bool = False) -> None:
         """Which closures hold is decided anew, all together, and the poses are at the optimum of those.
 
         Where every closure agrees with the optimum of all there is nothing to decide; else by graduated non-convexity:
-        each is doubtful until others agree with it. Where many hold but for a step or two, those are not believed,
-        unless all steps are to be believed for now.
+        each is doubtful until others agree with it. Where many hold but for a step or two, those are not believed.
+
+        for_now: more keyframes will come. Then all steps are believed, and until the graph has grown by a quarter
+        closures that did not hold before are not asked; they hold again where they fit what the others say. So that
+        work does not grow with the square of the way, no more than `ASKED` of them are asked at all.
         """
         self.contradicted, self.loose, self._settled = frozenset(), frozenset(), len(self)
+        every = not for_now or len(self) >= ANEW * self._asked
+        self._asked = len(self) if every else self._asked
         self._leave_rivals()
         before = self.closures
         steps, tried = self.edges(tried=True)
@@ -271,16 +279,19 @@ class KeyframeGraph:
             return
         graph = steps.joined(tried)
         doubtful = np.arange(graph.edges) >= steps.edges
-        decided = solve_graph(graph, RobustGraphConfig(), doubtful=doubtful)
-        if steps_too and len(decided.dropped) >= OUTWEIGHED:
+        asked = [k for k, c in enumerate(before) if not c.reason.startswith(ELSEWHERE)]
+        refused = [(before[k].nis or 0.0, n) for n, k in enumerate(asked) if _refused(before[k])]
+        unasked = np.zeros(graph.edges, dtype=bool)
+        unasked[[steps.edges + n for _, n in sorted(refused)[ASKED if every else 0 :]]] = True
+        decided = solve_graph(graph, RobustGraphConfig(), doubtful=doubtful, unasked=unasked)
+        if not for_now and len(decided.dropped) >= OUTWEIGHED:
             dropped = frozenset(d.edge - steps.edges for d in decided.dropped)
-            self.contradicted = self._contradicted_steps(steps, tried, dropped)
+            self.contradicted = self._contradicted_steps(steps, tried, dropped, unasked[steps.edges :])
         if self.contradicted:
             steps, _ = self.edges()
-            decided = solve_graph(steps.joined(tried), RobustGraphConfig(), doubtful=doubtful)
+            decided = solve_graph(steps.joined(tried), RobustGraphConfig(), doubtful=doubtful, unasked=unasked)
         why = {d.edge - steps.edges: d.reason for d in decided.dropped}
         nis = decided.nis[steps.edges :]
-        asked = [k for k, c in enumerate(before) if not c.reason.startswith(ELSEWHERE)]
         self.closures = list(before)
         for n, k in enumerate(asked):
             c, reason = before[k], why.get(n) or _agrees(before[k].share, float(nis[n]))
@@ -364,13 +375,16 @@ class KeyframeGraph:
                 elif c.reason.startswith(ELSEWHERE):
                     self.closures[n] = replace(c, reason=UNDECIDED)
 
-    def _contradicted_steps(self, steps: PoseGraph, tried: PoseGraph, dropped: frozenset[int]) -> frozenset[int]:
+    def _contradicted_steps(
+        self, steps: PoseGraph, tried: PoseGraph, dropped: frozenset[int], unasked: Bool[np.ndarray, " t"]
+    ) -> frozenset[int]:
         """The keyframes whose steps are wrong where without them `OUTWEIGHED` more places a step hold; else none.
 
         Every place that held must hold still, and such a step be wrong by little, and alone: in a building that looks
         alike in several places, steps all along would have to be wrong, by metres.
 
-        dropped: which places do not hold as long as every step does. Over each step lies a weak one that holds always.
+        dropped: which places do not hold as long as every step does; unasked: (t,) which are not asked. Over each step
+        lies a weak one that holds always.
         """
         weak = np.array([np.linalg.inv(border_covariance(step)) for step in steps.measured])
         sure = [k for k, i in enumerate(steps.second.tolist()) if not self.nodes[i].border]
@@ -379,7 +393,8 @@ class KeyframeGraph:
         )
         graph = both.joined(tried)
         doubtful = np.arange(graph.edges) >= steps.edges
-        decided = solve_graph(graph, RobustGraphConfig(), doubtful=doubtful)
+        out = np.concatenate([np.zeros(both.edges, dtype=bool), unasked])
+        decided = solve_graph(graph, RobustGraphConfig(), doubtful=doubtful, unasked=out)
         gone = [d.edge for d in decided.dropped]
         wrong = [sure[k - steps.edges] for k in gone if k < both.edges]
         gained = len(dropped) - (len(gone) - len(wrong))
@@ -420,6 +435,11 @@ class KeyframeGraph:
         reason = f"it contradicts the other measurements by {np.sqrt(squares[worst]):.1f} standard deviations"
         self.closures[at] = replace(self.closures[at], accepted=False, reason=reason)
         return True
+
+
+def _refused(closure: Closure) -> bool:
+    """Whether it was decided that it does not hold."""
+    return not closure.accepted and closure.reason != UNDECIDED
 
 
 def _agrees(share: float, nis: float) -> str:

@@ -8,6 +8,7 @@ went stays as poses that hang on keyframes of the map (`Revisits`).
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import takewhile
 from typing import NamedTuple
 
 import numpy as np
@@ -46,8 +47,8 @@ class Left(NamedTuple):
 class KnownPlaces:
     """What is known of one robot's graph. `step` changes it and the graph.
 
-    Keyframes up to number `settled` are the map and stay. Those after it up to `checked` lie in places known well: only
-    the last of them are there, which the next search looks for. closures: how many left with their keyframes.
+    Keyframes up to number `settled` are the map and stay. Those after it up to `checked` lie in places known well
+    and wait to leave. closures: how many left with their keyframes.
     """
 
     cfg: KnownPlacesConfig
@@ -64,29 +65,35 @@ class KnownPlaces:
         """The poses of the keyframes that left."""
         return Revisits(self._t.array, self._at.array, self._step.array, self._cov.array, self.closures)
 
-    def step(self, graph: KeyframeGraph, i: int, found: int, lay: Laying) -> Left | None:
-        """Keyframe `i` is the graph's last one, the submap around keyframe `found` was just found; which ones left.
+    def step(self, graph: KeyframeGraph, i: int, lay: Laying) -> Left | None:
+        """Keyframe `i` is the graph's last one, a submap before it was just found in others; which ones left.
 
-        When the map knows the places of all keyframes since the last such step and one of the map's own was found again
-        from `found`, those between the map and `found` leave, each as it is laid on the map. Else all stay for good.
+        When the map knows the places of all keyframes since the last such step, those between the map and the last of
+        them that was found in it leave, each as it is laid on the map. They wait for that until it is decided which
+        places hold, or until a place comes that the map does not know: keyframes from there on stay for good.
         """
         if not self.cfg.enough:
             return None
-        if not all(self._known(graph, k) for k in range(self.checked + 1, i + 1)):
-            self.settled = self.checked = i
-            return None
-        first, last = self.settled + 1, found - 1
-        self.checked = i
+        if all(self._known(graph, k) for k in range(self.checked + 1, i + 1)):
+            self.checked = i
+            return None if graph.due or graph.undecided else self._leave(graph, lay)
+        if self.checked > self.settled + 1 and (graph.due or graph.undecided):
+            graph.settle(for_now=True)
+        left = self._leave(graph, lay)
+        self.settled = self.checked = len(graph) - 1
+        return left
+
+    def _leave(self, graph: KeyframeGraph, lay: Laying) -> Left | None:
+        """Keyframes leave between the map and the last one that a place which holds ties to it, if there are any."""
+        late = takewhile(lambda c: c.second > self.settled + 1, reversed(graph.closures))
+        tied = (c.second for c in late if c.accepted and c.first <= self.settled and c.second <= self.checked)
+        first, last = self.settled + 1, next(tied, 0) - 1
         if first > last:
-            return None
-        if graph.due or graph.undecided or graph.known <= last:
-            graph.settle()
-        if not any(c.accepted and c.second == found and c.first <= self.settled for c in graph.closures[::-1]):
             return None
         self._keep(graph, first, last, lay(first, last))
         self.closures += graph.leave(first, last)
         self.checked -= last - first + 1
-        graph.settle()
+        graph.solve()
         return Left(first, last)
 
     def _keep(self, graph: KeyframeGraph, first: int, last: int, laid: Float[np.ndarray, "c 3"]) -> None:

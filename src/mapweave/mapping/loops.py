@@ -1,9 +1,11 @@
 """Loops of one robot: each new submap of its keyframes searched for among all that came before."""
 
 from dataclasses import dataclass, field, replace
+from itertools import takewhile
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Int
 
 from ..core import se2
 from .keyframe_graph import KeyframeGraph
@@ -14,6 +16,8 @@ from .submaps import SUBMAP_AROUND, SUBMAP_EVERY, TURN_WAY, extent, make_submap,
 # share of points on walls, points that hold it, another place as likely if it is not where the step over it may lead
 BORDER = PlaceSearchConfig(least_heading=0.0, least_score=0.35, least_share=0.45, least_held=12.0)
 BORDER_SDS = 3.0  # standard deviations from where the step over it puts it, by all three coordinates together
+SEARCHED = 400  # older submaps, the nearest, that one is searched for among, at most: some 2 km of way
+FOUND = 24  # places of one submap, those nearest to where the estimate has it, at most
 
 
 class Loop(NamedTuple):
@@ -60,9 +64,9 @@ class LoopFinder:
 
     def _complete(self, graph: KeyframeGraph, until: float) -> list[Loop]:
         """The submaps whose middle lies up to `until` [m] of way, made and searched for."""
-        way = np.array(self.way[self.segment :])
-        if not len(way) or until < way[0] + (self.made + 0.5) * SUBMAP_EVERY:
+        if len(self.way) == self.segment or until < self.way[self.segment] + (self.made + 0.5) * SUBMAP_EVERY:
             return []
+        way = np.array(self.way[self.segment :])
         found = []
         for at in middles(way)[self.made :]:
             if way[at] > until:
@@ -74,14 +78,39 @@ class LoopFinder:
             poses = np.array([node.local for node in nodes])
             new = make_submap(self.segment + at, first, poses, [node.beams.s for node in nodes], q)
             if new is not None:
-                old = [k for k, anchor in enumerate(self.anchors) if self._apart(anchor, first)]
+                old = self._old(graph, new.anchor, first)
                 number = self.index.add(new)
                 self.anchors.append(new.anchor)
-                matches = self.index.search(number, old)
+                matches = self._nearest(graph, number, self.index.search(number, old))
                 if number and first == self.segment and all(m.first != number - 1 for m in matches):
                     matches += self._over_border(graph, number)
                 found += [Loop(self.anchors[m.first], new.anchor, m) for m in matches]
         return found
+
+    def _old(self, graph: KeyframeGraph, anchor: int, first: int) -> Int[np.ndarray, " k"]:
+        """The submaps that one at keyframe `anchor`, which begins with keyframe `first`, is searched for among.
+
+        Work must not grow with the way: of many those nearest by the estimate, once something holds the segment in it.
+        """
+        old = np.array([k for k, at in enumerate(self.anchors) if self._apart(at, first)], dtype=np.int64)
+        if len(old) <= SEARCHED or not self._held(graph):
+            return old
+        away = np.hypot(*(graph.pose[np.array(self.anchors)[old], :2] - graph.pose[anchor, :2]).T)
+        return np.sort(old[np.argsort(away, kind="stable")[:SEARCHED]])
+
+    def _held(self, graph: KeyframeGraph) -> bool:
+        """Whether the latest segment is the first one, or places hold it."""
+        late = takewhile(lambda c: c.second >= self.segment, reversed(graph.closures))
+        return not self.segment or any(c.accepted for c in late)
+
+    def _nearest(self, graph: KeyframeGraph, number: int, found: list[PlaceMatch]) -> list[PlaceMatch]:
+        """Of the places found of submap `number` those nearest to where the estimate has it, in their order."""
+        if len(found) <= FOUND:
+            return found
+        anchors = graph.pose[[self.anchors[m.first] for m in found]]
+        there = np.asarray(se2.compose(anchors, np.array([m.measured for m in found])))
+        away = np.hypot(*(there[:, :2] - graph.pose[self.anchors[number], :2]).T)
+        return [found[k] for k in np.sort(np.argsort(away, kind="stable")[:FOUND]).tolist()]
 
     def _over_border(self, graph: KeyframeGraph, number: int) -> list[PlaceMatch]:
         """The first submap of a segment in the one before it, where less will do if it lies where the step puts it.
