@@ -93,16 +93,17 @@ def test_keyframes_that_leave_wait_for_the_next_decision_and_ask_for_none(asked)
     assert len(asked) == 1
 
 
-def test_where_the_map_knows_a_place_no_more_those_that_waited_leave_by_one_decision(asked):
+def test_where_the_map_knows_a_place_no_more_those_that_were_decided_on_leave_and_the_rest_stays(asked):
     graph, known, lay = lapped()
-    for i in (50, 55):
-        assert known.step(graph, i, lay) is None
+    assert known.step(graph, 50, lay) is None
+    graph.settle(for_now=True)
+    asked.clear()
     for _ in range(10):
         graph.add(keyframe(len(graph), np.array([0.5, 0.0, 0.0]), STEP_COV))
     graph.path[60:] = graph.path[59]  # nothing before has been driven long ago: no place is known
-    assert known.step(graph, 69, lay) == (40, 53)
-    assert len(asked) == 1
-    assert known.settled == known.checked == len(graph) - 1 == 55
+    assert known.step(graph, 69, lay) == (40, 49)
+    assert not asked
+    assert known.settled == known.checked == len(graph) - 1 == 59
 
 
 def test_a_submap_is_searched_for_among_the_nearest_where_there_are_many(monkeypatch):

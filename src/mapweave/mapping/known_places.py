@@ -69,18 +69,17 @@ class KnownPlaces:
         """Keyframe `i` is the graph's last one, a submap before it was just found in others; which ones left.
 
         When the map knows the places of all keyframes since the last such step, those between the map and the last of
-        them that was found in it leave, each as it is laid on the map. They wait for that until it is decided which
-        places hold, or until a place comes that the map does not know: keyframes from there on stay for good.
+        them that a place which holds ties to it leave, each as it is laid on the map. They wait until it is decided
+        which hold, or until the map does not know a place: keyframes that are there then stay for good.
         """
         if not self.cfg.enough:
             return None
-        if all(self._known(graph, k) for k in range(self.checked + 1, i + 1)):
+        known = all(self._known(graph, k) for k in range(self.checked + 1, i + 1))
+        if known:
             self.checked = i
-            return None if graph.due or graph.undecided else self._leave(graph, lay)
-        if self.checked > self.settled + 1 and (graph.due or graph.undecided):
-            graph.settle(for_now=True)
         left = self._leave(graph, lay)
-        self.settled = self.checked = len(graph) - 1
+        if not known:
+            self.settled = self.checked = len(graph) - 1
         return left
 
     def _leave(self, graph: KeyframeGraph, lay: Laying) -> Left | None:
