@@ -44,9 +44,7 @@ from .team import TeamResult, Watch, carried, fuse_online, team_maps, team_resul
 
 NO_STEP = OnlineStep(0, 0, 0, 0.0)
 FULL = 3  # landmarks in common by which two maps are laid over each other
-STEP = (
-    0.05  # share of what is left of a smoothing that a step of the solver is told to be: some twenty to sixty are made
-)
+STEP = 0.05  # share of what is left that a step of the solver is told to be: a smoothing makes twenty to sixty
 
 
 def smooth_online(

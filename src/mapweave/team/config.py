@@ -99,8 +99,7 @@ class SmoothingConfig:
     robot_sightings: bool = True  # whether sightings of other robots tie trajectories
     longest_step: float = 2.0  # [s] between two poses that are estimated
     shortest_step: float = 0.5  # [s] between two poses that are estimated; sightings between go by the nearest
-    # that are estimated, about, of over a hundred robots that see each other fewer, by the square of how many they are:
-    most_poses: int = 50_000  # beyond it both steps are made longer, and it is told
+    most_poses: int = 50_000  # that are estimated, about, fewer of over 100 robots: beyond it steps are longer
 
 
 @config

@@ -177,14 +177,10 @@ def _of_robot(
             continue
         if name in other.tracks:
             rows = rows[other.believed(name, table.t[rows])]
-            out.append(
-                _mutual_sightings(
-                    table, rows, pose[rows], other.pose(name, table.t[rows])[:, :2], name, forward=forward
-                )
-            )
+            point = other.pose(name, table.t[rows])[:, :2]
         else:
-            point = np.tile(other.landmarks[called[k]], (len(rows), 1))
-            out.append(_mutual_sightings(table, rows, pose[rows], point, called[k], forward=forward))
+            name, point = called[k], np.tile(other.landmarks[called[k]], (len(rows), 1))
+        out.append(_mutual_sightings(table, rows, pose[rows], point, name, forward=forward))
     return out
 
 
