@@ -233,6 +233,17 @@ def test_the_noise_of_a_radio_is_neither_more_nor_less_than_its_ranges_scatter(n
     assert (told.far == (error > 0.4)).mean() > 0.99
 
 
+@pytest.mark.parametrize("sd", [1e-5, 0.05])
+def test_noise_and_bias_are_found_from_the_log_whatever_a_graph_states_of_its_ranges(sd):
+    net = network_of(ranged(TWO, BEACONS))
+    net = replace(net, ranges=replace(net.ranges, sd=np.full(len(net.ranges), sd)))
+    found = estimate(net)
+    assert max(misses(net, found, TWO, BEACONS).values()) < 0.1
+    assert found.radios[0].sd == pytest.approx(0.05, rel=0.3)
+    assert found.radios[0].bias == pytest.approx(BIAS, abs=0.05)
+    assert ("ranges-worse" in {f.code for f in _findings(net, found)}) == (sd < 0.01)
+
+
 @pytest.mark.parametrize(
     ("seed", "team"),
     [

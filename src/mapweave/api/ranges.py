@@ -44,6 +44,7 @@ WINDOWS = 10  # into which the ranges of a pair are cut in order of time
 OFF = 0.3  # [m] by which the median of such a window is off: twice what ranging radios scatter by
 OFF_SHARE = 0.02  # of all windows, from which it is told: one may be off by chance
 LEAST = 3  # ranges of a window
+WORSE = 2.0  # times what ranges say of their noise, from which it is told
 MOSTLY = 0.5  # share of ranges rejected from which nothing is believed
 TOLD_SHARE = 0.02  # of all ranges rejected, from which it is told
 
@@ -314,6 +315,9 @@ def _findings(net: RangeNetwork, found: RangeEstimate) -> list[Finding]:
         worst_of = found.radios[int(np.argmax(apart))]
         pair = f"{robot_key(worst_of.a)} and {robot_key(worst_of.b)}"
         out.append(Finding("range-biases", value={"pair": pair, "bias": worst_of.bias, "value": differ}))
+    scatter, stated = float(np.median([r.sd for r in found.radios] or [0.0])), float(np.median(net.ranges.sd))
+    if scatter > WORSE * stated:  # where none is stated it is NaN
+        out.append(Finding("ranges-worse", value={"value": scatter, "times": scatter / stated}))
     out += _drifting(net, found)
     if far > MOSTLY * n:
         out.append(Finding("ranges-contradict", value={"far": far, "n": n}))

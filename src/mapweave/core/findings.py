@@ -756,6 +756,12 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "They cannot be what was measured, or nothing says where the robot was then.",
             "Look at the log, unless they are few.",
         ),
+        "ranges-worse": FindingKind(
+            "note",
+            "ranges scatter by {value:.2f} m, {times:.1f} times what the graph states of them",
+            "Each counts by what it was found to err.",
+            "Look at what wrote the variances.",
+        ),
         "ranges-contradict": FindingKind(
             "bad",
             "most ranges contradict each other and the odometry: {far:.0f} of {n:.0f} are rejected",

@@ -1,6 +1,7 @@
 """Everybody's trajectory from ranges and odometry: laid out from no guess, then one robust problem.
 
-Every pair of radios has a bias and a noise of its own, estimated from its residuals. Ranges past a wall or a person are
+Every pair of radios has a bias and a noise of its own, estimated from its residuals; a noise that the log states is the
+least it has. Ranges past a wall or a person are
 too long by metres: they fade by a redescending kernel, and are counted. Errors of ranges last (they follow how antennas
 face each other), so that a range counts by as much less as they last longer than a range.
 
@@ -424,14 +425,12 @@ def _solved(
     if len(begins):  # the heading of one that stands is anything, and the problem stays regular
         terms.append(number_factor(3 * begins + 2, x[3 * begins + 2], ANY_HEADING, "headings"))
     angles = wrapping(3 * np.arange(n) + 2)
-    stated = np.isfinite(r.sd)
-    fixed[common] = stated.all()
     terms.append(number_factor(np.array([common]), np.zeros(1), BIAS_SD, "common bias"))
-    spread, pattern = SHRUNK if stated.all() else SPREAD, None
+    spread, pattern = (SHRUNK if np.isfinite(r.sd).all() else SPREAD), None
     noise, x[biases] = _known(net, known, names[there], rows)
     ordered, laid, P = _order(fixed, beacon, pairs), None, None
     for kernel in ROUNDS if sights is None else AMONG_FIXES:
-        sd = np.where(stated, r.sd, noise.sd[which]) * np.sqrt(noise.lasting[which])
+        sd = np.fmax(r.sd, noise.sd[which]) * np.sqrt(noise.lasting[which])
         if kernel is None:
             sd[noise.far] *= LEFT_OUT
         ranges = range_factor(r, biases[which], sd, kernel)
@@ -448,7 +447,7 @@ def _solved(
         x = solution.x
         pose, bias = x[: 3 * n].reshape(-1, 3), x[biases]
         P = solution.covariance(np.append(biases, common)) if solution.information is not None else None
-        if P is not None and not stated.all() and pairs >= FEW:
+        if P is not None and pairs >= FEW:
             spread = _spread_of(bias - x[common], P)
         noise = _Noise.of(r, which, pairs, r.z - geometry(r, pose)[0] - bias[which])
     bias_sd = np.full(pairs, np.nan) if P is None else np.sqrt(np.diag(P)[:-1])
@@ -464,7 +463,7 @@ def _unlikely(noise: _Noise, r: Ranges, which: Int[np.ndarray, " k"]) -> float:
 
     A layout that is wrong is made up for by noise that is greater and lasts longer, which squares over the noise hide.
     """
-    sd = np.where(np.isfinite(r.sd), r.sd, noise.sd[which])
+    sd = np.fmax(r.sd, noise.sd[which])
     long = noise.lasting[which]
     new = sd * 2.0 * np.sqrt(long) / (long + 1.0)  # of an error, beside what is left of the last, as it lasts so long
     each = np.square(noise.residual / sd) + 2.0 * np.log(new) + np.log(2.0 * np.pi)
