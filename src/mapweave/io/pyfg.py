@@ -52,15 +52,15 @@ class PyfgFile:
 
 
 def is_pyfg(path: Path) -> bool:
-    """Whether the text at `path`, packed or not, begins as such a file."""
+    """Whether the text at `path`, packed or not, begins as such a file: its first row of a kind has a name in it."""
     if not path.is_file():
         return False
     try:
         head = TextLog(path).head()
     except ReaderError:
         return False
-    kinds = (*ROWS, *IN_SPACE)
-    return any(w[0].startswith(kinds) and len(w) > 2 and any(x[:1].isalpha() for x in w[1:4]) for w in head)
+    first: list[str] = next((words for words in head if words[0].startswith((*ROWS, *IN_SPACE))), [])
+    return len(first) > 2 and any(word[:1].isalpha() and not _is_number(word) for word in first[1:4])
 
 
 def read_pyfg(path: Path) -> PyfgFile:
@@ -90,6 +90,15 @@ def read_pyfg(path: Path) -> PyfgFile:
     if log.truncated:
         raise ReaderError(path, log.truncated)
     return _network(path, rows, unread)
+
+
+def _is_number(word: str) -> bool:
+    """Whether it is one, which `nan` and `inf` are too."""
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def _finite(words: Sequence[str]) -> list[float] | None:
