@@ -77,10 +77,8 @@ def test_a_pose_graph_of_g2o_is_none(tmp_path):
     assert not is_pyfg(path)
 
 
-
 @pytest.mark.parametrize("row", ["EDGE_SE2 1 2 nan 0 0", "EDGE_SE2 1 2 1 x 0", "EDGE_SE2 1 b2 1 0 0"])
 def test_a_pose_graph_with_a_row_that_is_spoilt_is_no_graph_of_ranges(row, tmp_path):
     (path := tmp_path / "some.g2o").write_text(f"VERTEX_SE2 1 0 0 0\nVERTEX_SE2 2 1 0 0\n{row} 1 0 0 1 0 1\n")
     with pytest.raises(ReaderError, match=r"some.g2o:3: EDGE_SE2 needs"):
         solve_pose_graph(path)
-

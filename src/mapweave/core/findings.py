@@ -99,10 +99,11 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
         ),
         "way-loose": FindingKind(
             "doubtful",
-            "where it was then is known to {value:.1f} m from where it began (one standard deviation)",
-            "Walls tell little along the way, as in a bare corridor, or nothing seen before ties a long way: the map "
-            "may be too long, too short or bent by as much.",
-            "Drive back over places seen before, tell positions along the way, or use a scanner that reaches farther.",
+            "where it was then is known to {value:.1f} m (one standard deviation)",
+            "Walls tell little along the way, as in a bare corridor, nothing seen before ties a long way, or neither "
+            "wheels nor sightings tell it: the map may be too long, too short or bent by as much.",
+            "Drive back over places seen before, tell positions along the way, use a scanner that reaches farther, or "
+            "record odometry.",
         ),
         "log-parted": FindingKind(
             "note",

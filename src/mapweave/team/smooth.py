@@ -45,7 +45,7 @@ from .factors import InterRobotEdge
 from .known import PlacePriors
 from .problem import TeamProblem, most_poses, team_problem, with_fewer_poses
 from .robot_part import PARAMETERS, RobotPart
-from .team_map import TeamMap
+from .team_map import TeamMap, way_loose
 
 # times the errors of ranges, in a team with a laser: they last, and would bend paths known better
 RANGE_BESIDE_LASER = 2.0  # so uncertain are ranges in a team with a laser: errors last, and would bend better paths
@@ -86,8 +86,9 @@ class Smoothed:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """The notes, and that the map had to stay the filters' though there was something to smooth."""
-        return (*self.notes, *((Finding("not-smoothed", value=self.refused),) if self.refused and self.used else ()))
+        """The notes, that the map had to stay the filters' though there was something to smooth, and what is loose."""
+        kept = (Finding("not-smoothed", value=self.refused),) if self.refused and self.used else ()
+        return (*self.notes, *kept, *way_loose(self.map))
 
 
 def smooth(

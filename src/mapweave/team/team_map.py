@@ -90,6 +90,25 @@ def _with_poses_at(track: Track, t: Float[np.ndarray, " n"], gaps: tuple[tuple[f
     return Track(np.insert(track.t, after, new), pose, cov, track.frame)
 
 
+LOOSE = (
+    0.7  # [m] root mean square over time by which a trajectory may err, as its covariances say, in a map that is good
+)
+
+
+def way_loose(team: TeamMap) -> tuple[Finding, ...]:
+    """A finding for each robot whose covariances say that its trajectory may be off by more than a map is good for."""
+    out = []
+    for robot, track in team.tracks.items():
+        if track.cov is None or len(track.t) < 2:
+            continue
+        variance, half = track.cov[:, 0, 0] + track.cov[:, 1, 1], 0.5 * np.diff(track.t)
+        off = float(np.sqrt(np.average(variance, weights=np.append(half, 0.0) + np.append(0.0, half))))
+        if off > LOOSE:
+            loose = track.t[variance > LOOSE**2]
+            out.append(Finding("way-loose", robot, (float(loose[0]), float(loose[-1])), off))
+    return tuple(out)
+
+
 LEAST = 2  # landmarks of a room
 
 
