@@ -1,6 +1,7 @@
 """`doctor` of a map names what bends it: planted causes, each by its own sign, and nothing of a map that is right."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -82,3 +83,14 @@ def test_a_result_that_is_no_map_is_refused_as_one(tmp_path):
     mapweave.locate(sightings, tmp_path / "located", anchors={"a": [0.0, 0.0], "b": [1.0, 0.0]})
     with pytest.raises(mapweave.UsageError, match=r"located: expected a map or logs, .* another kind \(Located\)"):
         mapweave.doctor(tmp_path / "located")
+
+
+def test_what_makes_a_map_doubtful_and_is_a_sign_of_no_cause_is_told_in_its_own_words(tmp_path):
+    mapweave.simulate_landmarks(tmp_path / "team", robots=1, landmarks=8, minutes=0.5, seed=8)
+    loose, untold = Finding("way-loose", "1", value=3.0), Finding("no-wheels", "1")
+    told = mapweave.doctor(replace(mapweave.map(tmp_path / "team"), findings=(loose, untold)))
+    assert (told.causes, told.doubts) == ((), (loose,))
+    (line,) = told.lines()
+    assert line.startswith("doubtful: robot 1: where it was then is known to 3.0 m")
+    assert line.endswith("record odometry.")
+    assert [row["code"] for row in told.metrics["doubts"]] == ["way-loose"]

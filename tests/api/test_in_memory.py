@@ -205,6 +205,13 @@ def test_robots_are_named_by_number_key_or_name(tmp_path):
     assert len({m.maps[0].tracks["robot2"].pose.tobytes() for m in maps}) == 1
 
 
+def test_robots_may_be_named_in_any_order(tmp_path):
+    mapweave.simulate_landmarks(tmp_path / "team", robots=2, landmarks=6, minutes=1.0, seed=1)
+    one, other = (mapweave.map(tmp_path / "team", robots=robots) for robots in ([1, 2], [2, 1, 2]))
+    assert [m.robot for m in other.local] == ["robot1", "robot2"]
+    assert other.summary() == one.summary()
+
+
 @pytest.mark.parametrize(
     "call",
     [

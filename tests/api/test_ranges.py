@@ -116,6 +116,11 @@ def test_a_map_that_radios_must_be_metres_unlike_for_is_not_good(tmp_path):
     assert told[0].value["value"] > 1.0
 
 
+def test_an_option_that_ranges_do_not_have_is_named_as_it_was_given(radios):
+    with pytest.raises(UsageError, match=r"^--no-refine: not for recordings of ranges"):
+        mapweave.map(radios[0] / "log", refine=False)
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(not DATA.is_dir(), reason="needs MAPWEAVE_DATA")
 def test_the_public_graph_is_solved_from_no_guess_as_well_as_from_the_truth():

@@ -373,8 +373,8 @@ def test_every_result_type_that_is_offered_is_tried_here_or_is_a_reproduction():
         assert set(dir(kind)) >= FACE
 
 
-@pytest.mark.parametrize("name", ["local/robot1/local_map.json", "landmarks.npz", "metrics.json"])
-def test_a_result_that_is_not_whole_is_neither_scored_nor_fused(name, tmp_path):
+@pytest.mark.parametrize("name", ["local/robot1/local_map.json", "landmarks.npz", "metrics.json", "result.npz"])
+def test_a_result_that_is_not_whole_is_neither_scored_nor_fused_nor_shown(name, tmp_path):
     """A robot whose local map was not copied was missing from the fused map, and nothing said so."""
     team = tmp_path / "team"
     mapweave.simulate_landmarks(team, robots=2, landmarks=8, minutes=0.5, seed=1)
@@ -387,3 +387,5 @@ def test_a_result_that_is_not_whole_is_neither_scored_nor_fused(name, tmp_path):
         mapweave.evaluate(tmp_path / "out", team)
     with pytest.raises(mapweave.ReaderError, match=name):
         mapweave.fuse(tmp_path / "out")
+    with pytest.raises(mapweave.ReaderError, match=name):
+        mapweave.view(tmp_path / "out", browser=False)

@@ -149,23 +149,34 @@ class Cause(NamedTuple):
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Causes(ResultBase):
-    """What `doctor` says of a map: the causes that show, the likeliest first. verdict: the map's, None of no map."""
+    """What `doctor` says of a map: the causes that show, the likeliest first. verdict: the map's, None of no map.
+
+    doubts: what else makes the map doubtful, which is a sign of no cause.
+    """
 
     source: str
     verdict: Verdict | None
     causes: tuple[Cause, ...]
+    doubts: tuple[Finding, ...] = ()
 
     @property
     def metrics(self) -> dict[str, Any]:
         rows = [{**cause._asdict(), "text": cause.text} for cause in self.causes]
-        return {"version": __version__, "source": self.source, "verdict": self.verdict, "causes": rows}
+        doubts = [found.row() for found in self.doubts]
+        return {
+            "version": __version__,
+            "source": self.source,
+            "verdict": self.verdict,
+            "causes": rows,
+            "doubts": doubts,
+        }
 
     def lines(self) -> list[str]:
-        if not self.causes:
-            return ["nothing that was looked for bends this map"]
         asked = "nothing doubts this map; where it is bent all the same, the " if self.verdict == "good" else ""
-        first = f"{asked}likeliest cause: {self.causes[0].text}"
-        return [first, *(f"also: {cause.text}" for cause in self.causes[1:])]
+        heads = [f"{asked}likeliest cause", *["also"] * len(self.causes)]
+        told = [f"{head}: {cause.text}" for head, cause in zip(heads, self.causes, strict=False)]
+        told += [f"{self.verdict}: {f.told}. {KINDS[f.code].means} {KINDS[f.code].do}" for f in self.doubts]
+        return told or ["nothing that was looked for bends this map"]
 
     def headline(self) -> Rows:
         rows = [(c.name, c.robot or "", c.evidence) for c in self.causes]
@@ -205,7 +216,9 @@ def causes_of(subject: Any) -> Causes:
             result = mapped(subject)
         except DataError as error:
             return refused(source, error)
-    return Causes(source, result.verdict, tuple(_ordered(result)))
+    known = {*TOLD, *WEAK, "wheels-other"}
+    doubts = (f for f in result.findings if KINDS[f.code].severity != "note" and f.code not in known)
+    return Causes(source, result.verdict, tuple(_ordered(result)), tuple(doubts))
 
 
 def refused(source: str, error: DataError) -> Causes:

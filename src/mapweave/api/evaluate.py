@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from ..core.errors import DataError, ReaderError, UsageError
 from ..core.names import in_order, robot_key, robot_name
-from ..core.paths import checked_arguments
+from ..core.paths import checked_arguments, is_path
 from ..core.records import Track
 from ..core.truth import NO_SURVEY, Relations, Survey
 from ..core.workers import one_blas_thread
@@ -493,7 +493,7 @@ def evaluate(directory: Path | str | ResultBase, truth: Truths) -> Evaluation:
     with folders as folder, truth_files(truth) as paths:
         if not paths:
             raise UsageError("truth: expected paths or tables in memory, found none")
-        if not alone:
+        if not alone and is_path(directory):
             expect_whole(folder)
         evaluation: Evaluation = judge_track(folder, paths) if alone else judged(folder, paths)
         if evaluation.unscored:

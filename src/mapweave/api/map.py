@@ -13,6 +13,7 @@ from ..core.errors import DataError, EstimateError, UsageError, VerdictError
 from ..core.findings import verdict_line
 from ..core.landmark_log import LandmarkLog
 from ..core.laser_log import LaserLog
+from ..core.names import in_order
 from ..core.paths import AnyConfig, checked_arguments, kind_of, path_of
 from ..core.workers import Progress, no_progress, one_blas_thread
 from ..io.directory import check_target, result_directory
@@ -171,7 +172,7 @@ def map(  # noqa: A001  (the verb)
     sightings
         Landmarks in memory: columns t [s], robot, id, range [m], bearing [rad] counter-clockwise from ahead.
     robots
-        Use these robots only, by key or number: `["1", "3"]`, `[1, 3]` (all).
+        Use these robots only, by key or number, in any order: `["1", "3"]`, `[1, 3]` (all).
     method
         How each robot maps: `ekf` for landmarks; of laser logs graph (which alone closes loops and makes one map of
         several robots), particle, gated or icp.
@@ -251,7 +252,7 @@ def map(  # noqa: A001  (the verb)
     (7, 2)
     """
     options = MapOptions(
-        robots=None if robots is None else tuple(dict.fromkeys(key_of(robot) for robot in robots)),
+        robots=None if robots is None else tuple(sorted({key_of(robot) for robot in robots}, key=in_order)),
         method=method,
         weights=weights,
         share={key_of(robot): part for robot, part in (share or {}).items()},

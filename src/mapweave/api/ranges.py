@@ -236,8 +236,9 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> RangeResult:
         raise UsageError(f"expected one recording of ranges, found {len(logs)}: record all robots together")
     plain = MapOptions()
     for name in ("robots", "method", "weights", "share", "start", "fuse_every", "refine", "online", "calibration"):
-        if getattr(options, name) != getattr(plain, name):
-            raise UsageError(f"--{name.replace('_', '-')}: not for recordings of ranges, found {logs[0]}")
+        if (asked := getattr(options, name)) != getattr(plain, name):
+            option = f"{'no-' * (asked is False)}{name.replace('_', '-')}"
+            raise UsageError(f"--{option}: not for recordings of ranges, found {logs[0]}")
     watch = Watch()
     bag = is_range_bag(logs[0])
     log = read_range_bag(logs[0], options.radios, options.laser.fixes) if bag else read_rawlog_ranges(logs[0])

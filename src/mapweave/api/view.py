@@ -21,12 +21,13 @@ import numpy as np
 from ..core import se2
 from ..core.errors import EstimateError, ReaderError, UsageError
 from ..core.names import robot_name
-from ..core.paths import checked_arguments, path_of
+from ..core.paths import checked_arguments, is_path, path_of
 from ..core.rows import spread
 from ..core.workers import one_blas_thread
 from ..io.decisions import NAME, decisions_text, read_decisions
 from ..io.directory import check_target, result_file
 from ..io.finished import read_finished
+from ..io.saved_result import expect_whole
 from ..io.team_map import read_metrics
 from ..io.web import Answer, served_pages
 from ..mapping.decisions import CELLS, TOGETHER, UNDECIDED, WORDS, PairRow, PlaceRow
@@ -70,6 +71,8 @@ def view(
     """
     if rerun or save is not None:
         with result_folder(directory, "directory") as folder:
+            if is_path(directory):
+                expect_whole(folder)
             read_metrics(folder)
             return [_in_rerun(folder, None if save is None else Path(save))]
     if isinstance(directory, ResultBase):
@@ -77,6 +80,7 @@ def view(
         directory.write(folder)
     else:
         folder = path_of(directory, "directory", "a folder or a result in memory")
+        expect_whole(folder)
     read_metrics(folder)
     report = folder / "report.html"
     if not report.is_file():

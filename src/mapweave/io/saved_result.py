@@ -74,10 +74,10 @@ def read_result(folder: Path) -> Any:
 def expect_whole(folder: Path) -> None:
     """Raises ReaderError where files of a result are missing or changed, whatever version wrote it.
 
-    A folder without `result.npz`, as other programs write, tells nothing of that and is taken as it is.
+    A folder with neither page nor `result.npz`, as other programs write, tells nothing of that and is taken as it is.
     """
     path = folder / NAME
-    if not path.is_file():
+    if not (path.is_file() or (folder / "report.html").is_file()):
         return
     read_metrics(folder)
     _, held = _read(path)
