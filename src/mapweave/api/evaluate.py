@@ -43,6 +43,7 @@ from ..report.result import ResultBase
 from ..report.score import draw_bars, draw_team_score, draw_tracks
 from ..report.style import Target
 from .in_memory import Truths, result_folder, truth_files
+from .map_options import expect_there
 from .located import read_truth
 from .result import EvaluationBase, Result
 
@@ -507,9 +508,7 @@ def judged(folder: Path, truth: Sequence[Path]) -> Evaluation:
         raise ReaderError(folder, "expected a mapweave result with metrics.json, found none")
     if not truth:
         raise UsageError("--truth: expected a path, found none")
-    for path in truth:
-        if not path.exists():
-            raise ReaderError(path, "no such file or folder")
+    expect_there(truth)
     for applies, judge in JUDGES:
         if applies(folder, truth[0]):
             return judge(folder, truth)

@@ -40,7 +40,7 @@ from ..report.style import Target
 from .in_memory import Truth, result_folder, truth_files
 from .laser_result import LaserResult
 from .map_laser import source_of
-from .map_options import LaserOptions
+from .map_options import LaserOptions, expect_there
 
 NEAR, NEAR_ANGLE = 0.5, np.radians(10.0)  # a start that errs by less than this, once found, was right
 
@@ -315,6 +315,7 @@ def localize(
     place = _start(start)
     if not isinstance(log, LaserLog | Mapping):
         log = path_of(log, "log", "a path, a LaserLog or scans in memory")
+        expect_there((log,))
     drive = None if odometry is None else columns_of(odometry, "odometry")
     true = None if truth is None else _true_track(truth)
     asked = laser or LaserOptions()

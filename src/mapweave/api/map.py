@@ -310,8 +310,8 @@ def _of_logs(logs: Sequence[Path | str | LaserLog | Log], options: MapOptions) -
     if any(isinstance(log, LaserLog | LandmarkLog) for log in logs):
         return _of_read(logs, options)
     paths = [path_of(log, "logs", "paths, LaserLogs or what read gave") for log in logs]
+    expect_there(paths)
     if options.laser.columns is not None and paths:
-        expect_there(paths)
         return _laser(paths, options)
     if _is_mixed(paths):
         if options.decisions is not None:
@@ -361,7 +361,7 @@ def _of_read(logs: Sequence[object], options: MapOptions) -> MapResult:
 def _is_mixed(paths: Sequence[Path]) -> bool:
     from ..io.mixed_logs import is_mixed  # noqa: PLC0415
 
-    return all(path.exists() for path in paths) and is_mixed(paths)
+    return is_mixed(paths)
 
 
 def _in_memory(scans: object, odometry: object, sightings: object, options: MapOptions) -> MapResult:
@@ -407,7 +407,6 @@ def _laser(logs: Sequence[Path | LaserLog], options: MapOptions) -> MapResult:
 def _mapper(logs: Sequence[Path], method: str | None) -> Mapper:
     if not logs:
         raise UsageError("expected a log, found none")
-    expect_there(logs)
     if method in LANDMARK_METHODS and all(is_bag(path) for path in logs):  # its scans, if any, are left aside
         return cast("Mapper", import_module(MAPPERS[0]))
     for where in MAPPERS:

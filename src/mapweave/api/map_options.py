@@ -189,10 +189,12 @@ def expect_config(given: AnyConfig | None) -> None:
 
 
 def expect_there(paths: Sequence[Path]) -> None:
-    """Raises ReaderError naming the first path where nothing lies."""
+    """Raises ReaderError naming the first path where nothing lies, or a pipe: formats are told by looking twice."""
     for path in paths:
         if not path.exists():
             raise ReaderError(path, "no such file or folder")
+        if path.is_fifo():
+            raise ReaderError(path, "expected a file, found a pipe, which can be read but once")
 
 
 def parse_robots(text: str | None) -> tuple[str, ...] | None:
