@@ -7,9 +7,9 @@ import pytest
 import mapweave
 
 VERBS = {
-    "map": lambda pipe, made: mapweave.map(pipe),
-    "read": lambda pipe, made: mapweave.read(pipe),
-    "localize": lambda pipe, made: mapweave.localize(pipe, made),
+    "map": lambda pipe, _: mapweave.map(pipe),
+    "read": lambda pipe, _: mapweave.read(pipe),
+    "localize": mapweave.localize,
     "evaluate": lambda pipe, made: mapweave.evaluate(made, pipe),
 }
 

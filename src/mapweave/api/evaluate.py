@@ -43,8 +43,8 @@ from ..report.result import ResultBase
 from ..report.score import draw_bars, draw_team_score, draw_tracks
 from ..report.style import Target
 from .in_memory import Truths, result_folder, truth_files
-from .map_options import expect_there
 from .located import read_truth
+from .map_options import expect_there
 from .result import EvaluationBase, Result
 
 
