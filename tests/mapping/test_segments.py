@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import mapweave
 from mapweave.core import se2
+from mapweave.core.findings import Finding
 from mapweave.core.laser_log import LaserLog
 from mapweave.core.records import Scan, Track
 from mapweave.laser.closures import Closure
@@ -23,6 +25,7 @@ from mapweave.mapping.segments import (
     Borders,
     border_covariance,
     bridged,
+    cuts_disputed,
     held_over,
     pieces_of,
     segment_findings,
@@ -30,7 +33,8 @@ from mapweave.mapping.segments import (
     way_bent,
     way_loose,
 )
-from mapweave.sim.laser_worlds import CorridorConfig, simulate_corridor
+from mapweave.sim.laser import DriveConfig
+from mapweave.sim.laser_worlds import CorridorConfig, OfficeConfig, simulate_corridor
 
 STEP = np.array([0.3, 0.0, 0.1])
 
@@ -258,3 +262,33 @@ def test_a_bare_corridor_that_nothing_ties_is_not_called_good():
     assert "way-loose" in {found.code for found in made.findings}
     lit = map_laser(log, LaserConfig(method="graph"), 0)
     assert all(found.severity == "note" for found in lit.findings)
+
+
+def test_places_far_from_where_wheels_lead_over_a_cut_are_told_unless_the_scene_changed_there_or_wheels_leapt():
+    graph = straight((30,), n=60)
+    t = float(graph.t[30])
+    pose = np.array(graph.pose)
+    pose[30:, 1] += 4.0
+    moved = replace(graph, pose=pose)
+    (told,) = cuts_disputed(moved, ())
+    assert (told.code, told.severity, told.span) == ("cut-disputed", "doubtful", (float(graph.t[29]), t))
+    assert told.value == pytest.approx(4.0)
+    assert cuts_disputed(graph, ()) == ()
+    for code, at, times, excused in (
+        ("scene-change", t, 1, True),
+        ("wheels-set", t, 1, True),
+        ("scene-change", t + 5.0, 1, False),
+        ("scene-jump", t + 5.0, 2, True),  # the second may be there
+        ("stamp-lag", t, 1, False),
+    ):
+        known = Finding(code, "1", (at, at), {"times": times})
+        assert (cuts_disputed(moved, (known,)) == ()) == excused
+
+
+@pytest.mark.slow
+def test_a_wide_hall_whose_ends_look_alike_is_not_called_good_where_the_map_is_a_room_off():
+    people = DriveConfig(people=10)
+    hall = OfficeConfig(rooms=2, room_width=8.0, room_depth=7.0, corridor=4.0, drive=people)
+    made = mapweave.map(mapweave.simulate_laser(None, hall, seed=1).log)
+    assert made.verdict == "doubtful"
+    assert "cut-disputed" in {found.code for found in made.findings}

@@ -128,6 +128,7 @@ TOLD = {  # code of a finding: the cause that it is a sign of by itself
     "wheels-scale": "scale",
     "wheels-unlike": "scale",  # or another unit, where it is far off
     "place-unclear": "symmetry",
+    "cut-disputed": "symmetry",
 }
 WEAK = {"wheels-disagree": "slip", "way-bent": "symmetry", "walls-seen-through": "symmetry"}  # where nothing else shows
 

@@ -44,6 +44,14 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "the one that its wheels tell: the robot was carried, or several places look alike.",
             "Look at the map after that time; say in a decisions file which places are apart.",
         ),
+        "cut-disputed": FindingKind(
+            "doubtful",
+            "places put the robot {value:.1f} m from where the wheels do, and nothing that it saw changed at once",
+            "The motion was not sure there, as amid a wide hall, and what was seen afterwards looks like another place "
+            "than the one that the wheels tell. A robot that was carried sees another scene at once: rather, several "
+            "places look alike.",
+            "Look at the map after that time; say in a decisions file which places are apart.",
+        ),
         "track-cut": FindingKind(
             "note",
             "from one scan to the next the motion is not sure: {value}",

@@ -48,7 +48,7 @@ from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import ScanOdometry, blended
 from .config import LaserConfig
 from .map_overlap import seen_through
-from .segments import LONG, bridged, held_over, segment_findings, way_bent, way_loose
+from .segments import LONG, bridged, cuts_disputed, held_over, segment_findings, way_bent, way_loose
 from .session import LaserSession
 
 MOMENT_WITHIN = 0.002  # [s] in which a robot hardly moves
@@ -363,6 +363,8 @@ def map_session(
     left = {} if graph is None else left_graph(graph)
     told_by_graph = (segment_findings, way_bent, way_loose, seen_through)
     cuts = () if graph is None else tuple(found for tell in told_by_graph for found in tell(graph))
+    if graph is not None and clean.scans[0].odometry is not None:
+        cuts = (*cuts, *cuts_disputed(graph, disagreement))
     result = replace(
         result,
         scan_hash=log.scan_hash(),

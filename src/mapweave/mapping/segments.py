@@ -4,7 +4,7 @@ Between two of them it is not: a match was refused, few returns match where whee
 the recording paused. Submaps never reach over such a border, its step is a weak prior, and places join what it parts.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -43,7 +43,8 @@ WHY = {
     CONTRADICTED: "places before and after it contradict what its scans tell",
 }
 MANY, PATCHY = 20, 0.02  # keyframes, and cuts among them from which on a trajectory is a patchwork
-DISPUTED = 3.0  # sd by which places put a robot elsewhere over a gap than its wheels
+DISPUTED = 3.0  # sd by which places put a robot elsewhere over a gap or a cut than its wheels
+CARRIED_BY = {"scene-jump", "scene-change", "wheels-leap", "wheels-set"}  # codes of what tells that it is elsewhere
 STRETCHES = (10, 20, 40)  # steps of a trajectory that places may have bent,
 BENT, BENT_SDS = 0.5, 5.5  # by more than this [m], and so many standard deviations of the steps together
 LOOSE = 1.25  # [m] sd of a place seen from where the robot began, beyond which its map is not good
@@ -188,6 +189,27 @@ def segment_findings(graph: RobotGraph) -> tuple[Finding, ...]:
         last = cuts[piece] - 1 if piece < len(cuts) else len(graph) - 1
         if min(way[piece], way[:piece].max()) >= LONG and joined[piece] not in joined[:piece]:
             found.append(Finding("segment-apart", graph.robot, (span[1], float(graph.t[last])), float(way[piece])))
+    return tuple(found)
+
+
+def cuts_disputed(graph: RobotGraph, told: Sequence[Finding]) -> tuple[Finding, ...]:
+    """Where places put a robot far from where its wheels do over a cut, and it saw nothing of having been carried.
+
+    told: what is told of its scenes and wheels: where a scene changes at once the robot was carried, and where wheels
+    leap they tell nothing.
+    """
+    seen = [f for f in told if f.code in CARRIED_BY and f.span is not None]
+    if any(isinstance(f.value, Mapping) and f.value["times"] != 1 for f in seen):
+        return ()  # of which the first alone is told with its time
+    found = []
+    for k, why in enumerate(graph.border):
+        if not k or why in {"", GAP}:
+            continue
+        span = (float(graph.t[k - 1]), float(graph.t[k]))
+        e = se2.between(graph.step[k - 1], se2.between(graph.pose[k - 1], graph.pose[k]))
+        far = e @ np.linalg.solve(border_covariance(graph.step[k - 1], why), e) > DISPUTED**2
+        if far and not any(f.span is not None and span[0] <= f.span[1] and f.span[0] <= span[1] for f in seen):
+            found.append(Finding("cut-disputed", graph.robot, span, float(np.hypot(e[0], e[1])), "places decide"))
     return tuple(found)
 
 
