@@ -246,6 +246,17 @@ def test_a_way_whose_covariances_say_that_it_may_be_off_by_metres_is_told_with_w
     assert way_loose(replace(graph, cov=cov)) == ()
 
 
+def test_a_way_that_may_be_off_by_less_but_nearly_everywhere_is_told_too():
+    graph = straight(n=60)
+    cov = np.tile(1e-4 * np.eye(3), (60, 1, 1))
+    cov[10:, 0, 0] = (0.9 * LOOSE) ** 2  # over five sixths of the time
+    (told,) = way_loose(replace(graph, cov=cov))
+    assert told.span == (graph.t[10], graph.t[59])
+    assert told.value == pytest.approx(0.9 * LOOSE)
+    cov[10:50] = 1e-4 * np.eye(3)
+    assert way_loose(replace(graph, cov=cov)) == ()
+
+
 def test_a_piece_that_nothing_ties_to_the_start_is_not_told_to_be_loose():
     cov = np.tile(1e-4 * np.eye(3), (60, 1, 1))
     cov[56:] = 1e4 * np.eye(3)  # too short to be told as apart

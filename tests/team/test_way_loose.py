@@ -6,7 +6,8 @@ import pytest
 import mapweave
 from mapweave.core.records import Track
 from mapweave.landmarks.landmark_map import LandmarkMap
-from mapweave.team.team_map import LOOSE, TeamMap, way_loose
+from mapweave.mapping.segments import LOOSE_ALL
+from mapweave.team.team_map import TeamMap, way_loose
 
 NOTHING = LandmarkMap((), np.zeros((0, 2)), np.zeros((0, 0)))
 
@@ -21,10 +22,10 @@ def loose_from_30_to_50(sd: float) -> TeamMap:
 
 def test_a_trajectory_is_loose_by_its_covariances_over_time_wherever_its_poses_stand():
     share = 21.0 / 200.0  # of the time, whatever of the poses
-    (told,) = way_loose(loose_from_30_to_50(1.05 * LOOSE / np.sqrt(share)))
+    (told,) = way_loose(loose_from_30_to_50(1.05 * LOOSE_ALL / np.sqrt(share)))
     assert (told.code, told.severity, told.robot, told.span) == ("way-loose", "doubtful", "1", (30.0, 50.0))
-    assert told.value == pytest.approx(1.05 * LOOSE, rel=0.01)
-    assert way_loose(loose_from_30_to_50(0.95 * LOOSE / np.sqrt(share))) == ()
+    assert told.value == pytest.approx(1.05 * LOOSE_ALL, rel=0.01)
+    assert way_loose(loose_from_30_to_50(0.95 * LOOSE_ALL / np.sqrt(share))) == ()
 
 
 @pytest.mark.slow

@@ -47,7 +47,8 @@ DISPUTED = 3.0  # sd by which places put a robot elsewhere over a gap or a cut t
 CARRIED_BY = {"scene-jump", "scene-change", "wheels-leap", "wheels-set"}  # codes of what tells that it is elsewhere
 STRETCHES = (10, 20, 40)  # steps of a trajectory that places may have bent,
 BENT, BENT_SDS = 0.5, 5.5  # by more than this [m], and so many standard deviations of the steps together
-LOOSE = 1.25  # [m] sd of a place seen from where the robot began, beyond which its map is not good
+LOOSE = 1.25  # [m] sd of a place seen from where the robot began, beyond which its map is not good,
+LOOSE_ALL = 0.72  # and [m] root mean square over time by which its trajectory may err, as covariances say
 LONG = 3.0  # [m] of way from which on it matters that a piece shares no place with what came before
 
 
@@ -247,11 +248,19 @@ def way_loose(graph: RobotGraph) -> tuple[Finding, ...]:
     cuts, piece = _pieces(graph)
     tied = np.repeat(np.asarray(piece) == piece[0], np.diff([0, *cuts, len(graph)]))
     sd = np.where(tied, np.sqrt(np.linalg.eigvalsh(graph.cov[:, :2, :2])[:, 1]), 0.0)
-    loose = np.flatnonzero(sd > LOOSE)
+    all_loose = off_over_time(graph.t[tied], graph.cov[tied]) > LOOSE_ALL
+    loose = np.flatnonzero(sd > (LOOSE_ALL if all_loose else LOOSE))
     if not len(loose):
         return ()
     span = (float(graph.t[loose[0]]), float(graph.t[loose[-1]]))
     return (Finding("way-loose", graph.robot, span, float(sd.max())),)
+
+
+def off_over_time(t: Float[np.ndarray, " n"], cov: Float[np.ndarray, "n 3 3"]) -> float:
+    """[m] root mean square over time by which places err, as their covariances say, wherever the stamps stand."""
+    half = 0.5 * np.diff(t)
+    weights = np.append(half, 0.0) + np.append(0.0, half)
+    return float(np.sqrt(np.average(cov[:, 0, 0] + cov[:, 1, 1], weights=weights))) if weights.any() else 0.0
 
 
 def still_apart(findings: Sequence[Finding], graph: RobotGraph, held: Sequence[int]) -> tuple[Finding, ...]:

@@ -17,6 +17,7 @@ from ..core.names import in_order, robot_key
 from ..core.records import Track
 from ..fusion.result import Fusion
 from ..landmarks.landmark_map import LandmarkMap, LocalMap
+from ..mapping.segments import LOOSE_ALL, off_over_time
 from .config import PlacingConfig
 from .relation import MutualSightings, Relation, is_sure, relate
 from .relative_frame import PLACING_GUESSED, ROOM_REACH, Body, moved_track, mutual_sightings
@@ -90,21 +91,12 @@ def _with_poses_at(track: Track, t: Float[np.ndarray, " n"], gaps: tuple[tuple[f
     return Track(np.insert(track.t, after, new), pose, cov, track.frame)
 
 
-LOOSE = (
-    0.7  # [m] root mean square over time by which a trajectory may err, as its covariances say, in a map that is good
-)
-
-
 def way_loose(team: TeamMap) -> tuple[Finding, ...]:
     """A finding for each robot whose covariances say that its trajectory may be off by more than a map is good for."""
     out = []
     for robot, track in team.tracks.items():
-        if track.cov is None or len(track.t) < 2:
-            continue
-        variance, half = track.cov[:, 0, 0] + track.cov[:, 1, 1], 0.5 * np.diff(track.t)
-        off = float(np.sqrt(np.average(variance, weights=np.append(half, 0.0) + np.append(0.0, half))))
-        if off > LOOSE:
-            loose = track.t[variance > LOOSE**2]
+        if track.cov is not None and len(track.t) and (off := off_over_time(track.t, track.cov)) > LOOSE_ALL:
+            loose = track.t[track.cov[:, 0, 0] + track.cov[:, 1, 1] > LOOSE_ALL**2]
             out.append(Finding("way-loose", robot, (float(loose[0]), float(loose[-1])), off))
     return tuple(out)
 
