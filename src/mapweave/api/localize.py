@@ -315,7 +315,6 @@ def localize(
     place = _start(start)
     if not isinstance(log, LaserLog | Mapping):
         log = path_of(log, "log", "a path, a LaserLog or scans in memory")
-        expect_there((log,))
     drive = None if odometry is None else columns_of(odometry, "odometry")
     true = None if truth is None else _true_track(truth)
     asked = laser or LaserOptions()
@@ -387,7 +386,10 @@ def _recording(log: Path | LaserLog | Mapping[str, Any], odometry: Columns | Non
         return laser_log_of(log, odometry, "1", source)
     if odometry is not None:
         raise UsageError("odometry: expected scans in memory beside it, found a log, which holds its own")
-    return log if isinstance(log, LaserLog) else read_laser(log, "1", source)
+    if isinstance(log, LaserLog):
+        return log
+    expect_there((log,))
+    return read_laser(log, "1", source)
 
 
 def _grid_path(folder: Path) -> Path:
