@@ -125,7 +125,7 @@ class RawLog:
         when there is no scan at all.
         """
         expect_seconds(np.array([raw.t for raw in self.scans if np.isfinite(raw.t)]), self.source)
-        good = [raw for raw in self.scans if is_sound(raw)]
+        good = [raw for raw in self.scans if is_sound(raw) and abs(raw.t) < LATEST]
         if len(good) < len(self.scans):
             self.dropped[UNSOUND] += len(self.scans) - len(good)
             self.scans = good
@@ -370,10 +370,10 @@ def floats(values: Any) -> np.ndarray:
 
 
 def is_sound(raw: RawScan) -> bool:
-    """Whether stamp, poses and angles of a scan are numbers that a robot can have."""
+    """Whether poses and angles of a scan are numbers that a robot can have, and its stamp is one, of whatever unit."""
     poses = [raw.T_robot_sensor] if raw.odometry is None else [raw.T_robot_sensor, raw.odometry]
     numbers = np.concatenate([[raw.angle_min, raw.angle_increment], *poses])
-    if not (abs(raw.t) < LATEST and (np.abs(numbers) < LARGEST).all() and not np.isnan(raw.range_max)):
+    if not (np.isfinite(raw.t) and (np.abs(numbers) < LARGEST).all() and not np.isnan(raw.range_max)):
         return False
     step, n = abs(raw.angle_increment), len(raw.ranges)
     return n < 2 or bool(step >= CLOSEST and step * (n - 1) <= WIDEST)
