@@ -16,7 +16,6 @@ from mapweave.fusion import initial_frames
 from mapweave.fusion.config import MISLABELLED, FuseConfig
 from mapweave.fusion.initial_frames import PlaceTest, same_place
 from mapweave.fusion.join import fuse
-from mapweave.io.directory import result_directory
 from mapweave.landmarks.landmark_map import LandmarkMap
 
 from .worlds import covariance, rmse, team, with_landmarks
@@ -90,8 +89,7 @@ def test_no_two_simulated_teams_become_one_and_each_team_does(tmp_path):
 def test_results_of_two_rooms_stay_two_maps_and_the_reason_names_landmarks(tmp_path):
     for k in (1, 2):
         simulate_landmarks(tmp_path / f"log{k}", robots=2, landmarks=8, minutes=5.0, seed=k)
-        with result_directory(tmp_path / f"m{k}") as work:
-            map_logs([tmp_path / f"log{k}"], MapOptions()).write_into(work)
+        map_logs([tmp_path / f"log{k}"], MapOptions()).write(tmp_path / f"m{k}")
     result = fuse_results([tmp_path / "m1", tmp_path / "m2"])
     assert [m.robots for m in result.maps] == [("m1/robot1", "m1/robot2"), ("m2/robot1", "m2/robot2")]
     assert result.lines()[0].startswith("2 of 4 robots in one map")

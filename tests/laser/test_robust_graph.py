@@ -142,7 +142,7 @@ def test_weights_are_sought_until_every_edge_counts_whole_or_not_at_all(monkeypa
     held, may, cfg = (0,), np.arange(bad.edges) >= 11, RobustGraphConfig()
     monkeypatch.setattr(robust_graph, "MOST_ROUNDS", 60)
     monkeypatch.setattr(robust_graph, "truncated_weights", lambda s, *_: np.full(len(s), weight))
-    rounds = robust_graph._believed(bad, cfg, held, (), may)[2]
+    rounds = robust_graph._believed(bad, cfg, held, (), may, np.ones(bad.edges, dtype=bool))[2]
     assert (rounds < 60) == ends
     assert rounds > 5  # the cost that is asked for has to become the truncated one first
 

@@ -7,7 +7,7 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.laser.robust_graph import solve_graph
-from mapweave.mapping import keyframe_graph, loops
+from mapweave.mapping import keyframe_graph, known_places, loops
 from mapweave.mapping.known_places import KnownPlaces, KnownPlacesConfig
 from mapweave.mapping.loops import LoopFinder
 from mapweave.mapping.places import PlaceIndex
@@ -83,17 +83,20 @@ def lapped():
     return graph, known, lambda first, last: graph.pose[first : last + 1]
 
 
-def test_keyframes_that_leave_wait_for_the_next_decision_and_ask_for_none(asked):
+def test_keyframes_that_leave_wait_for_the_next_decision_and_ask_for_one_where_many_do(asked, monkeypatch):
+    monkeypatch.setattr(known_places, "WAITING", 0.3)
     graph, known, lay = lapped()
-    for i in (50, 56, 59):
+    for i in (50, 56):
         assert known.step(graph, i, lay) is None
     assert not asked
-    graph.settle(for_now=True)
     assert known.step(graph, 59, lay) == (40, 57)
+    assert len(asked) == 1
+    assert known.step(graph, len(graph) - 1, lay) is None
     assert len(asked) == 1
 
 
-def test_where_the_map_knows_a_place_no_more_those_that_were_decided_on_leave_and_the_rest_stays(asked):
+def test_where_the_map_knows_a_place_no_more_those_that_were_decided_on_leave_and_the_rest_stays(asked, monkeypatch):
+    monkeypatch.setattr(known_places, "WAITING", 0.3)
     graph, known, lay = lapped()
     assert known.step(graph, 50, lay) is None
     graph.settle(for_now=True)

@@ -20,6 +20,7 @@ from ..core.rows import RowBuffer
 from ..laser.robot_graph import Revisits
 from .keyframe_graph import KeyframeGraph
 
+WAITING = 0.05  # of the keyframes wait to leave, from which on it is decided for their sake which places hold
 KNOWN_NEAR = 1.0  # [m] from a keyframe and
 KNOWN_TURN = 0.8  # [rad] in heading lie those of the map that know its place, from visits
 KNOWN_FAR = 10.0  # [m] of driving before it at least
@@ -70,13 +71,16 @@ class KnownPlaces:
 
         When the map knows the places of all keyframes since the last such step, those between the map and the last of
         them that a place which holds ties to it leave, each as it is laid on the map. They wait until it is decided
-        which hold, or until the map does not know a place: keyframes that are there then stay for good.
+        which hold, which it is where many wait, or until the map does not know a place: keyframes that are there then
+        stay for good.
         """
         if not self.cfg.enough:
             return None
         known = all(self._known(graph, k) for k in range(self.checked + 1, i + 1))
         if known:
             self.checked = i
+        if graph.undecided and self.checked - self.settled > WAITING * len(graph):
+            graph.settle(for_now=True)
         left = self._leave(graph, lay)
         if not known:
             self.settled = self.checked = len(graph) - 1
