@@ -8,9 +8,10 @@ from merge_trials import judged, office, symmetric
 from mapweave.core import se2
 from mapweave.core.errors import DataError
 from mapweave.core.walls import Walls
-from mapweave.mapping.map_overlap import KeyframeMap, lit_alike, seen_alike, wall_overlap
+from mapweave.mapping.map_overlap import KeyframeMap, SeenAlike, lit_alike, seen_alike, wall_overlap
 from mapweave.mapping.merge import merge_maps
-from mapweave.mapping.merge_search import Start
+from mapweave.mapping.merge_ambiguity import Pair, allowed
+from mapweave.mapping.merge_search import Candidate, Start, whole_place
 from mapweave.sim.laser_worlds import office_floor
 
 SMALL = PairConfig(keyframes=130, beams=120)
@@ -169,6 +170,23 @@ def small_office():
     half += [[-5.0, 1.0, -5.0, 4.0], [-5.0, -4.0, -5.0, -1.0]]
     parts = np.concatenate([np.array(half), -np.array(half), np.array(box(-8.0, 3.2, -6.6, 4.0))])
     return drive_pair(Walls.of(parts), np.array([-10.0, -4.0]), np.array([10.0, 4.0]), 1.0, rng, SMALL)
+
+
+@pytest.mark.parametrize(
+    ("best", "other", "so"),
+    [
+        (0.81, 0.81, True),
+        (0.96, 0.86, True),
+        (1.0, 0.91, True),  # a tenth contradicted may be people and doors
+        (0.97, 0.83, False),
+        (0.98, 0.88, False),
+        (0.80, 0.79, False),
+    ],
+)
+def test_a_place_five_times_as_much_contradicted_as_the_best_is_no_rival(small_office, best, other, so):
+    pair = Pair(small_office.a, small_office.b, whole_place(small_office.a, featured=False), 0.9)
+    seen = [SeenAlike(round(1000 * share), round(1000 * (1.0 - share)), 1.0, 1.0) for share in (other, best)]
+    assert allowed(pair, *(Candidate(np.zeros(3), np.eye(3), 0.0, (), s) for s in seen)) is so
 
 
 @pytest.mark.slow

@@ -16,7 +16,8 @@ LENIENT = 2.0  # times what the best place contradicts, at another place leaves 
 RIVAL_LEAD = 5.0  # times the evidence of any other place that is not contradicted
 RIVAL_SHARE = 0.1  # of the best place's points seen alike, at another place the maps allow,
 RIVAL_SEEN = 100  # points alike there at least,
-RIVAL_ALIKE = 0.8  # share of what both saw on which they agree there, and
+RIVAL_ALIKE = 0.8, 0.9  # share of what both saw on which they agree there, the more the clearer the best place is:
+RIVAL_WORSE = 5.0  # times as much as there may be contradicted at another that it might as well be, and
 RIVAL_CLEAR = 0.98  # share of it, but for points close to walls
 RIVAL_WALLS = 0.01  # of what both saw: walls that one saw amid the other's free floor, beside those at the best place,
 RIVAL_POINTS = 4  # which these few points are in any case
@@ -108,7 +109,8 @@ def allowed(pair: Pair, other: Candidate, best: Candidate) -> bool:
         return False
     seen = other.seen
     enough = seen.alike >= max(RIVAL_SEEN, RIVAL_SHARE * best.seen.alike)
-    return enough and seen.clear >= RIVAL_CLEAR and seen.share >= RIVAL_ALIKE and possible(other, best)
+    alike = np.clip(1.0 - RIVAL_WORSE * (1.0 - best.seen.share), *RIVAL_ALIKE)
+    return enough and seen.clear >= RIVAL_CLEAR and bool(seen.share >= alike) and possible(other, best)
 
 
 def doubtful(pair: Pair, best: Candidate, rival: Candidate) -> bool:
