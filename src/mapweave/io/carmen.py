@@ -12,7 +12,7 @@ from ..core.errors import ReaderError
 from ..core.findings import Unused
 from ..core.laser_log import LaserLog
 from .assemble import UNSOUND, RawLog, RawScan, is_sound, median_pose
-from .files import TextFormat, TextLog
+from .files import TextFormat, TextLog, is_number
 
 KEYWORDS = ("FLASER", "RLASER", "ROBOTLASER1", "ROBOTLASER2", "ODOM")
 OTHER = (  # what robots of this kind write beside, in any number before the first scan
@@ -77,16 +77,8 @@ def _numbers(words: list[str]) -> np.ndarray:
     try:
         return np.array(words, dtype=float)
     except ValueError:
-        bad = next(word for word in words if not _is_number(word))
+        bad = next(word for word in words if not is_number(word))
         raise ValueError(f"expected a number, found {bad!r}") from None
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def _odometry(words: list[str]) -> tuple[float, float, float, float]:
@@ -107,7 +99,7 @@ def _flaser(words: list[str]) -> RawScan:
     """`FLASER n r.. laser_x laser_y laser_th odom_x odom_y odom_th ipc host logger`."""
     n = _announced(words, 1, "ranges")
     tail = words[2 + n :]
-    if n < 2 or not 7 <= len(tail) <= 9 or not all(map(_is_number, tail[:7])):
+    if n < 2 or not 7 <= len(tail) <= 9 or not all(map(is_number, tail[:7])):
         raise ValueError(f"{words[0]} says {n} ranges, found {max(0, len(words) - 11)}")
     ranges, numbers = _numbers(words[2 : 2 + n]), _numbers(tail[:7])
     increment = np.pi / n if n % 2 == 0 else np.pi / (n - 1)

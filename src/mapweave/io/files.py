@@ -41,6 +41,15 @@ def recording_of(start: bytes) -> str:
     return next((suffix for magic, suffix in RECORDINGS.items() if start.startswith(magic)), "")
 
 
+def is_number(word: str) -> bool:
+    """Whether a word of a text is a number, which `nan` and `inf` are too."""
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
 class NotTextError(ReaderError):
     """What should be a text log is binary data."""
 

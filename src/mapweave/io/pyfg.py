@@ -18,7 +18,7 @@ from ..core.errors import ReaderError
 from ..core.names import in_order
 from ..core.records import Track
 from ..ranges.network import Motions, Priors, RangeNetwork, Ranges
-from .files import TextLog
+from .files import TextLog, is_number
 from .table import open_text
 
 POSE, PLACE, STEP, RANGE = "VERTEX_SE2", "VERTEX_XY", "EDGE_SE2", "EDGE_RANGE"
@@ -60,7 +60,7 @@ def is_pyfg(path: Path) -> bool:
     except ReaderError:
         return False
     first: list[str] = next((words for words in head if words[0].startswith((*ROWS, *IN_SPACE))), [])
-    return len(first) > 2 and any(word[:1].isalpha() and not _is_number(word) for word in first[1:4])
+    return len(first) > 2 and any(word[:1].isalpha() and not is_number(word) for word in first[1:4])
 
 
 def read_pyfg(path: Path) -> PyfgFile:
@@ -90,15 +90,6 @@ def read_pyfg(path: Path) -> PyfgFile:
     if log.truncated:
         raise ReaderError(path, log.truncated)
     return _network(path, rows, unread)
-
-
-def _is_number(word: str) -> bool:
-    """Whether it is one, which `nan` and `inf` are too."""
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def _finite(words: Sequence[str]) -> list[float] | None:

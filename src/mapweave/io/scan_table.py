@@ -10,7 +10,7 @@ from ..core.errors import ReaderError, UsageError
 from ..core.laser_log import LaserLog
 from .assemble import RawLog, RawScan, odometry_row
 from .carmen import no_return_limit
-from .files import TextLog
+from .files import TextLog, is_number
 from .stampless import STEP
 
 ONE, MANY, SKIPPED = ("t", "x", "y", "theta"), ("ranges", "intensities"), "-"
@@ -65,7 +65,7 @@ def read_scan_table(
     """
     raw = RawLog(robot, str(log.path), log.log_hash)
     rows = [(number, _words(line)) for number, line in log.lines() if line.strip() and line.lstrip()[0] != "#"]
-    if rows and not any(map(_is_number, rows[0][1])):
+    if rows and not any(map(is_number, rows[0][1])):
         del rows[0]
     places: dict[str, slice] = {}
     for number, words in rows:
@@ -96,14 +96,6 @@ def read_scan_table(
 def _words(line: str) -> list[str]:
     mark = next((mark for mark in ",;" if mark in line), None)
     return [word.strip() or "nan" for word in line.strip().split(mark)]
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def _places(table: ScanTable, words: int) -> dict[str, slice]:

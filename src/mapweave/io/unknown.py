@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ..core.errors import ReaderError
-from .files import recording_of
+from .files import is_number, recording_of
 from .packed import unpacked
 
 LOOKED_AT = 1 << 16  # [bytes] at the beginning
@@ -139,16 +139,8 @@ def _rows(lines: Sequence[str]) -> FirstRows:
     cut = [line.replace(",", " ").replace(";", " ").lower().split() for line in lines[:ROWS]]
     words = [word for row in cut for word in row]
     counts = sorted(len(row) for row in cut)
-    numbers = sum(_is_number(word) for word in words) / max(1, len(words))
+    numbers = sum(is_number(word) for word in words) / max(1, len(words))
     return FirstRows(frozenset(words), numbers, counts[len(counts) // 2] if counts else 0)
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def _shown(text: str) -> str:
