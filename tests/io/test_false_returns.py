@@ -1,12 +1,14 @@
 """The robot's own body and greatest ranges that stand for nothing are left out and counted; walls are not."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
+from mapweave.core import se2
 from mapweave.io.assemble import RawLog, RawScan
-from mapweave.io.scan_checks import GREATEST, OWN, without_false_returns
+from mapweave.io.scan_checks import GREATEST, OWN, REPEAT, repeated, without_false_returns
 
 from .test_scan_agreement import drive
 
@@ -76,3 +78,53 @@ def test_a_log_leaves_false_returns_out_or_says_that_a_map_has_them_already(used
     n = 30 * len(made.scans)
     assert made.dropped.get(OWN, 0) == (0 if used else n)
     assert (f"{n} returns seem false and are in the map: {OWN}" in made.warnings) == used
+
+
+def again(scans, every):
+    """Each of the scans sent `every` times, the later ones where the robot is on its way to the next."""
+    out = []
+    for a, b in pairwise(scans):
+        way = se2.between(a.odometry, b.odometry)
+        out += [replace(a, odometry=se2.compose(a.odometry, way * (k / every))) for k in range(every)]
+    return [*out, scans[-1]]
+
+
+@pytest.mark.parametrize("every", [2, 3])
+def test_a_revolution_that_a_driver_sends_again_is_one_scan(every):
+    scans = drive(1)
+    moves = np.array([np.abs(se2.between(a.odometry, b.odometry)).max() > 1e-6 for a, b in pairwise(scans)])
+    told = repeated(again(scans, every))
+    assert np.array_equal(told[:-1].reshape(-1, every), [[False, *[m] * (every - 1)] for m in moves])
+    assert not repeated(scans).any()
+    standing = [replace(scan, odometry=scans[0].odometry) for scan in [scans[0]] * 5]
+    assert not repeated(standing).any()
+
+
+def test_without_wheels_a_scan_that_comes_twice_is_one_and_what_stands_is_many():
+    scans = [replace(scan, odometry=None) for scan in drive(1)[:40]]
+    twice = [scan for scan in scans for _ in range(2)]
+    assert np.array_equal(np.flatnonzero(repeated(twice)), np.arange(1, 80, 2))
+    assert not repeated([*scans, *[scans[-1]] * 9]).any()
+
+
+def test_a_copy_now_and_then_and_a_scanner_that_is_stuck_are_left_alone():
+    scans = drive(1)
+    once = [*scans[:20], replace(scans[19], odometry=np.add(scans[19].odometry, 0.05)), *scans[20:]]
+    assert not repeated(once).any()
+    assert not repeated(changed(scans, lambda r: np.linspace(1.0, 2.0, len(r)))).any()
+
+
+def test_a_log_counts_the_scans_that_repeat_and_a_resumed_one_keeps_them():
+    scans = again(drive(1), 2)
+    raw = [
+        RawScan(0.1 * k, s.ranges, None, s.angle_min, s.angle_increment, 0.0, 30.0, odometry=s.odometry)
+        for k, s in enumerate(scans)
+    ]
+    log = RawLog("1", "a.log", "", list(raw)).finish()
+    count = int(repeated(scans).sum())
+    assert count > 50
+    assert log.dropped[REPEAT] == count == len(scans) - len(log.scans)
+    assert len(log.scan_t) == len(log.scans)
+    assert log.odometry is not None
+    assert len(log.odometry.t) == len(scans)
+    assert len(RawLog("1", "a.log", "", list(raw)).finish(used=True).scans) == len(scans)

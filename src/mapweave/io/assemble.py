@@ -20,7 +20,7 @@ from ..core.laser_log import LEAST_RETURNS, LaserLog
 from ..core.records import Scan, Track, expect_seconds, frozen
 from .inertial import IMU, Inertial, with_turns
 from .range_unit import unit_of_ranges
-from .scan_checks import range_difference, scan_agreement, without_false_returns
+from .scan_checks import REPEAT, range_difference, repeated, scan_agreement, without_false_returns
 from .stamps import ENOUGH, Mended, mended_stamps, rows_by_scanner
 
 PAIRS = 400  # scan pairs looked at, at most
@@ -150,6 +150,9 @@ class RawLog:
             log_scans, odometry = [replace(scan, odometry=None) for scan in log_scans], None
         if self.inertial is not None:
             log_scans, odometry = self._with_turns(self.inertial, t, log_scans, odometry)
+        if not used and (again := repeated(log_scans)).any():
+            self.dropped[REPEAT] += int(again.sum())
+            t, log_scans = t[~again], [log_scans[k] for k in np.flatnonzero(~again).tolist()]
         log_scans = self._without_false_returns(log_scans, used=used)
         if log_scans[0].odometry is None:
             self.odometry_from = "none"

@@ -13,13 +13,16 @@ wheels' (the linear form of point-to-line matching, [Censi08]). No map is needed
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from ..core import se2
 from ..core.findings import Finding, turned_scanner
+from ..core.laser_log import LEAST_RETURNS
 from ..core.records import Scan, frozen
+from .stamps import rows_by_scanner
 
 FALSE_RETURN_NEAR = 1.0  # [m] from the scanner: returns as near may be of the robot itself
 FALSE_RETURN_SAME = 0.03  # [m] about its middle a beam's range stays there,
@@ -47,6 +50,10 @@ SCAN_AGREEMENT_SEEN = 0.6  # where so much of the motion is seen: what slides al
 SCAN_AGREEMENT_SCALE = (0.45, 1.4)  # outside which a factor is told,
 SCAN_AGREEMENT_ACROSS = 0.35  # if walls across the motion make up so much of all: in corridors no motion is seen
 
+REPEAT_STILL = 1e-6  # [m] and [rad] between scans, up to which wheels report no motion
+REPEAT_SHARE = (0.1, 0.8)  # of the scans while it moves, that repeat the one before where that is a driver's habit
+REPEAT = "scan that repeats the one before while the robot drives"
+
 OWN = "return of the robot itself"
 GREATEST = "greatest range, which stands for no return"
 
@@ -67,6 +74,43 @@ def without_false_returns(scans: Sequence[Scan]) -> tuple[list[Scan], Counter[st
                 count.update({GREATEST: int(greatest.sum()), OWN: int((own & ~greatest).sum())})
                 out[k] = _without(scan, greatest | own)
     return out, +count
+
+
+def repeated(scans: Sequence[Scan]) -> Bool[np.ndarray, " m"]:
+    """Which of the scans have the very ranges of the one before by the same scanner although the robot moved.
+
+    Drivers that ask their scanner oftener than it turns send a revolution twice; the second comes with the stamp of a
+    moment in which nothing was seen. None where so few do that it is no habit, or so many that nothing else is there.
+    Without wheels those that come alone count: what stands is seen alike for longer.
+    """
+    out = np.zeros(len(scans), dtype=bool)
+    for rows in rows_by_scanner([(scan.T_robot_sensor.tobytes(), "") for scan in scans]):
+        group = [scans[k] for k in rows]
+        same = np.array([False, *(is_same_revolution(a, b) for a, b in pairwise(group)), False])
+        if any(scan.odometry is None for scan in group):
+            moved = ~same[1:-1] | ~(same[:-2] | same[2:])
+        else:
+            moved = np.array([has_moved(a, b) for a, b in pairwise(group)], dtype=bool)
+        out[rows[1:]] = same[1:-1] & moved & is_habit(int((same[1:-1] & moved).sum()), int(moved.sum()))
+    return out
+
+
+def is_same_revolution(a: Scan, b: Scan) -> bool:
+    """Whether noise would have told two scans apart: all ranges are the same, and they are not one and the same."""
+    same = np.array_equal(a.ranges, b.ranges) and np.array_equal(a.hit, b.hit)
+    return same and len(np.unique(a.ranges[a.hit])) >= LEAST_RETURNS
+
+
+def has_moved(a: Scan, b: Scan) -> bool:
+    """Whether wheels tell of a motion between two scans."""
+    if a.odometry is None or b.odometry is None:
+        return False
+    return bool((np.abs(b.odometry - a.odometry) > REPEAT_STILL).any())
+
+
+def is_habit(repeats: int, moved: int) -> bool:
+    """Whether a driver sends revolutions again: so many of the scans of a robot that moves repeat the one before."""
+    return moved >= FALSE_RETURN_SCANS and REPEAT_SHARE[0] * moved <= repeats <= REPEAT_SHARE[1] * moved
 
 
 def stands_for_nothing(ranges: Float[np.ndarray, " n"]) -> float:

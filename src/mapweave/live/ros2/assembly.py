@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from ...core.records import Scan, Track, frozen
 from ...io.assemble import RawScan, floats, is_sound, poses_at, scan_of
+from ...io.scan_checks import has_moved, is_habit, is_same_revolution
 from ...io.transforms import Transforms, frame, in_range, planar, rigid
 from ..door import GREATEST, MOST_BEAMS, expect_steps
 from ..laser_feed import Row, Stamped
@@ -68,6 +69,8 @@ class Assembly:
         self._wheels_clock = Clock("odometry")
         self._scanners: dict[str, Clock] = {}
         self._told_until: float | None = None  # [s] stamp of the last scan that was told
+        self._before: dict[str, Scan] = {}  # of each frame the last scan that was placed
+        self._moved = self._again = 0  # scans of a robot that moved, and of those what repeats the one before
         self._waiting: deque[tuple[RawScan, str, float]] = deque()  # each with its frame, and when it came
         self._undecided: deque[tuple[float, tuple[float, float, float], tuple[str, str]]] = deque(maxlen=UNDECIDED)
         self._rows: list[Row] = []
@@ -204,10 +207,23 @@ class Assembly:
                 self.refuse(placed)
             elif placed is not None:
                 self._told_until = raw.t
+                if self._repeats(placed, name):
+                    self.refuse(RefusedError("repeated", "a scan with the ranges of the one before, though it moved"))
+                    continue
                 out.append((raw.t, placed))
         self._forget()
         rows, self._fresh = self._fresh, []
         return out, rows
+
+    def _repeats(self, scan: Scan, name: str) -> bool:
+        """Whether the driver sends a revolution again, as it has done before."""
+        before, self._before[name] = self._before.get(name), scan
+        if before is None or not has_moved(before, scan):
+            return False
+        self._moved += 1
+        again = is_same_revolution(before, scan)
+        self._again += again
+        return again and is_habit(self._again, self._moved)
 
     def _earlier_may_come(self, t: float) -> bool:
         """Whether a scanner has told nothing as late as `t` yet."""
