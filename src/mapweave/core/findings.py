@@ -330,6 +330,14 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "by more than hardly matters: the map was made with what the log tells.",
             "Nothing; `--config` with `[laser.odometry] apply = false` maps the log as it is.",
         ),
+        "scans-swept": FindingKind(
+            "note",
+            "scans take {value:.3f} s from their first beam to their last: each is taken from where the robot was then",
+            "The scanner turns, as its driver states. Seen from a robot that turns or drives, what its beams hit lies "
+            "elsewhere than where one place would have it. Beams given in reverse, as those of scanners are that turn "
+            "clockwise, have a negative time.",
+            "Nothing.",
+        ),
         "wheels-unlike": FindingKind(
             "doubtful",
             "the scans move {value:.2g} times as far as the wheels tell",

@@ -40,6 +40,8 @@ class LaserLog:
     Either all scans have intensities or none: a constant intensity tells nothing, so the reader leaves it out and
     says so in `findings`. unused: what was recorded beside and no reader took; fixes:
     where the robot was, as something outside it tells.
+    sweep: [s] from the first beam of a scan to its last as the scanner's driver states it, 0 where it does not;
+    negative where it is known that beams are given in reverse.
     told_hash: `scan_hash` of all scans where some are here without their ranges, else empty.
     """
 
@@ -53,6 +55,7 @@ class LaserLog:
     findings: tuple[Finding, ...] = ()
     log_hash: str = ""
     told_hash: str = ""
+    sweep: float = 0.0
     unused: tuple[Unused, ...] = ()
     fixes: Fixes | None = None
 

@@ -93,6 +93,8 @@ class Scan:
     `angle_min + k angle_increment` [rad], CCW from the sensor's x. n may change from scan to scan, and may hold no
     return at all. `odometry` is `T_odom_robot` at the scan's own stamp, or None when the log has no odometry.
     `heading` [rad] is the robot's by its gyroscope, from any zero: the turn since the scan before, where both have one.
+    `motion` is the robot's from the first beam to the last [m, m, rad], in whose middle it has the scan's pose: what
+    beams were taken from elsewhere is reckoned with; None where all are of one moment, or it is not known.
     """
 
     ranges: Float[np.ndarray, " n"]
@@ -105,6 +107,7 @@ class Scan:
     host: str = ""
     odometry: Float[np.ndarray, "3"] | None = None
     heading: float | None = None
+    motion: Float[np.ndarray, "3"] | None = None
 
     def angles(self) -> Float[np.ndarray, " n"]:
         """Beam directions (n,) [rad] in the sensor frame."""

@@ -71,6 +71,7 @@ def _vote(a: Scan, turn: float, b: Scan) -> int:
 
 LARGEST, LATEST = 1e9, 1e15  # [m or rad], [s]: what is more was never measured
 CLOSEST, WIDEST = 1e-6, 4 * np.pi  # [rad] from beam to beam, and of all beams: what is less, or more, no scanner has
+LONGEST_SWEEP = 10.0  # [s] of a scan: what takes longer is no scan
 UNSOUND = "scan with a stamp, pose or angle that none can have"
 FEW = 0.05  # share of scans without intensities that are dropped rather than all intensities
 
@@ -79,7 +80,8 @@ FEW = 0.05  # share of scans without intensities that are dropped rather than al
 class RawScan:
     """A scan as the file has it: ranges may be NaN, infinite, zero or beyond the limits, which count as no return.
 
-    kept: whether the ranges are here at all; of a scan without them nothing is told.
+    kept: whether the ranges are here at all; of a scan without them nothing is told. sweep: [s] from its first beam to
+    its last, 0 where the format does not say.
     """
 
     t: float
@@ -93,6 +95,7 @@ class RawScan:
     host: str = ""
     odometry: Float[np.ndarray, "3"] | None = None
     kept: bool = True
+    sweep: float = 0.0
 
 
 @dataclass(slots=True)
@@ -173,6 +176,7 @@ class RawLog:
             dict(self.dropped),
             tuple(self.findings),
             self.log_hash,
+            sweep=_sweep(scans),
             unused=tuple(self.unused),
             fixes=self.fixes,
         )
@@ -351,6 +355,12 @@ def median_pose(poses: Iterable[Float[np.ndarray, "3"]]) -> tuple[Float[np.ndarr
 
 def odometry_row(t: float, pose: Float[np.ndarray, "3"]) -> tuple[float, float, float, float]:
     return t, float(pose[0]), float(pose[1]), float(pose[2])
+
+
+def _sweep(scans: Sequence[RawScan]) -> float:
+    """[s] that a scan takes from its first beam to its last, the median; 0 where that is not said or is no time."""
+    sweep = float(np.median([raw.sweep for raw in scans]))
+    return sweep if 0.0 < sweep < LONGEST_SWEEP else 0.0
 
 
 def _differ(a: RawScan, b: RawScan) -> bool:

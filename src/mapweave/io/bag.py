@@ -23,7 +23,7 @@ from .salvage import DAMAGE, Salvage, check_chunks, salvage
 Stamped = tuple[str, int, Any]  # topic, recording time [ns], message
 STAMP = ("header.stamp.sec", "header.stamp.nanosec", "header.frame_id")
 ANGLES, RANGES = ("angle_min", "angle_max", "angle_increment"), ("range_min", "range_max")
-SCAN = attrgetter(*STAMP, *ANGLES, *RANGES, "scan_time", "ranges", "intensities")
+SCAN = attrgetter(*STAMP, *ANGLES, *RANGES, "time_increment", "scan_time", "ranges", "intensities")
 NEEDED = {
     "sensor_msgs/msg/LaserScan": SCAN,
     "sensor_msgs/msg/MultiEchoLaserScan": SCAN,

@@ -219,5 +219,6 @@ def _add_scans(raw: RawLog, messages: Sequence[Stamped], tf: Transforms, base: s
                 float(message.range_min),
                 float(message.range_max) if message.range_max > 0 else np.inf,
                 pose,
+                sweep=float(message.time_increment) * (n - 1),
             )
         )

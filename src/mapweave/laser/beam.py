@@ -149,6 +149,9 @@ def beams(scan: Scan, feature: str, calibration: IntensityCalibration | None, cf
     q = _feature(intensity, r, c, feature, calibration)
     s = se2.act(scan.T_robot_sensor, np.column_stack([x[index], y[index]]))
     turned = normal[index] @ se2.rotation(float(scan.T_robot_sensor[2])).T
+    if scan.motion is not None and n > 1:
+        there = se2.exp(np.outer(index / (n - 1) - 0.5, se2.log(scan.motion)))
+        s, turned = se2.act(there, s), se2.act(there * [0.0, 0.0, 1.0], turned)
     w = insertion_weight(r)
     return Beams(s, q, w, np.ascontiguousarray(turned), r, c, intensity, support[index], index)
 

@@ -188,6 +188,10 @@ class FrontEnd:
             self._put(self.keyframes.pop(0), -1.0)
         return True
 
+    def near(self, b: Beams, pose: Float[np.ndarray, "3"], reach: float) -> int:
+        """How many returns of a scan at `pose` lie within `reach` [m] of the lines they are matched to."""
+        return self._count(self.fine, FRONT_END_FINE, b, pose, reach)
+
     def hold(self, scans: Sequence[tuple[Beams, Float[np.ndarray, "3"]]]) -> None:
         """The local map is made of these scans, each at its pose, and of nothing else."""
         for frame in self.keyframes:

@@ -154,6 +154,7 @@ def _header(message: Header) -> None:
     _counts(message.dropped)
     _findings(message.findings)
     _unused(message.unused)
+    _within(LARGEST, "a sweep", message.sweep)
     if len(message.misread):
         _within(LATEST, "a stamp", *unpack(message.misread, 1)[0].tolist())
 

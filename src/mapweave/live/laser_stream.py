@@ -38,6 +38,7 @@ def messages_of_laser(log: LaserLog, robot: str, run: str, period: float) -> Ite
             dropped=dict(log.dropped),
             findings=[found.row() for found in log.findings],
             unused=[left.row() for left in log.unused],
+            sweep=log.sweep,
         ),
     )
     cuts = np.arange(begin + period, end, period)
@@ -193,5 +194,6 @@ def _log(h: Header, stamps: list[float], scans: list[Scan], rows: Float[np.ndarr
         dict(h.dropped),
         tuple(map(finding_of, h.findings)),
         h.log_hash,
+        sweep=h.sweep,
         unused=tuple(map(unused_of, h.unused)),
     )

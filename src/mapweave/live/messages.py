@@ -31,7 +31,8 @@ class Header(_Message, tag="header", frozen=True):
 
     sensor: "landmarks" or "laser"; log_robot: `robotK`; names: landmarks and robots by the index that `Rows.what`
     counts from, bearing_names: those that `Rows.bearing_what` does; odometry: whether there is any; odometry_from,
-    log_hash: of a laser's log; misread: stamps of sightings that were left out, a column.
+    log_hash, sweep ([s] that a scan takes, as its driver states it): of a laser's log; misread: stamps of sightings
+    that were left out, a column.
     """
 
     robot: str
@@ -49,6 +50,7 @@ class Header(_Message, tag="header", frozen=True):
     findings: list[dict[str, Any]] = []
     unused: list[dict[str, Any]] = []
     misread: bytes = b""
+    sweep: float = 0.0
 
 
 class Rows(_Message, tag="rows", frozen=True):

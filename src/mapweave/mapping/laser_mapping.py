@@ -46,6 +46,7 @@ from ..laser.odometry_calibration import (
 )
 from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import ScanOdometry, blended
+from ..laser.sweep import sweep_of
 from .config import LaserConfig
 from .map_overlap import seen_through
 from .segments import LONG, bridged, cuts_disputed, held_over, segment_findings, way_bent, way_loose
@@ -204,6 +205,9 @@ def map_laser(
     if not len(log.scans):
         raise DataError(f"{log.source}: no scans")
     _check_reach(log, cfg)
+    if sweep := sweep_of(log, cfg.beam, cfg.front_end):
+        log = replace(log, findings=(*log.findings, Finding("scans-swept", log.robot, value=sweep)))
+    log = replace(log, sweep=sweep)
     return with_calibrated_wheels(log, cfg, seed, _lit(log, cfg, seed, on_progress), on_progress)
 
 
@@ -229,7 +233,7 @@ def _mapped(
     log: LaserLog, cfg: LaserConfig, seed: int, feature: Feature, calibrating: float, on_progress: Progress
 ) -> LaserMap:
     began = perf_counter()
-    session = LaserSession(log.robot, cfg, seed, feature)
+    session = LaserSession(log.robot, cfg, seed, feature, log.sweep)
     for event in log.events():
         if session.push(event) is not None:
             on_progress(f"robot {log.robot}", len(session.infos), len(log.scans))

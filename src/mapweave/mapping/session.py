@@ -24,6 +24,7 @@ from ..laser.moving import MovingReturns
 from ..laser.particle_slam import ParticleState
 from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import PoseEstimate, ScanInfo
+from ..laser.sweep import swept
 from . import graph_slam
 from .config import LaserConfig
 from .graph_slam import GraphState
@@ -66,18 +67,21 @@ class LaserSession:
     """The estimate of one robot while its scans come. `push` changes it; everything else leaves it as it is.
 
     Poses are in the frame of the first scan. infos: what became of every scan; scans: each without the returns of
-    things that move, which `moving` counts, and `LET_GO` where the graph does without it. One session belongs to one
-    thread.
+    things that move, which `moving` counts, and `LET_GO` where the graph does without it. sweep: [s] from a scan's
+    first beam to its last, as `sweep_of` finds it; 0: scans are of one moment. One session belongs to one thread.
     """
 
-    def __init__(self, robot: str, cfg: LaserConfig, seed: int = 0, feature: Feature = GEOMETRY) -> None:
+    def __init__(
+        self, robot: str, cfg: LaserConfig, seed: int = 0, feature: Feature = GEOMETRY, sweep: float = 0.0
+    ) -> None:
         set_threads(cfg.threads if cfg.method in {"particle", "graph"} else 1)
         cfg = weighed(cfg, feature)
-        self.robot, self.cfg, self.feature = robot, cfg, feature
+        self.robot, self.cfg, self.feature, self.sweep = robot, cfg, feature, sweep
         self.infos = ScanInfos()
         self.scans: list[Scan] = []
         self.moving = MovingReturns(cfg.moving)
         self._last = self._motion = np.zeros(3)
+        self._t = -np.inf
         self._odometry: Float[np.ndarray, 3] | None = None
         self._heading: float | None = None
         self._runner = Runner(estimator(cfg, feature), cfg, seed)
@@ -88,8 +92,10 @@ class LaserSession:
         if not isinstance(record, Scan):
             self._runner.push(event)
             return None
-        clean = self.cfg.moving.leave_out
-        scan = self.moving.cleaned(event.t, record, self._predicted(record)) if clean else record
+        predicted = self._predicted(record)
+        scan = self.moving.cleaned(event.t, record, predicted) if self.cfg.moving.leave_out else record
+        scan = swept(scan, se2.between(self._last, predicted), event.t - self._t, self.sweep)
+        self._t = event.t
         info: ScanInfo = self._runner.push(replace(event, record=scan)).info
         self.scans.append(scan)
         self.infos.append(info)

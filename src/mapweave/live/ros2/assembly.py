@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...core.records import Scan, Track, frozen
-from ...io.assemble import RawScan, floats, is_sound, poses_at, scan_of
+from ...io.assemble import LONGEST_SWEEP, RawScan, floats, is_sound, poses_at, scan_of
 from ...io.scan_checks import has_moved, is_habit, is_same_revolution
 from ...io.transforms import Transforms, frame, in_range, planar, rigid
 from ..door import GREATEST, MOST_BEAMS, expect_steps
@@ -54,7 +54,8 @@ class Assembly:
     """What one robot's messages make. `scan`, `odometry` and `transforms` change it; `ready` takes what is whole.
 
     wheels: where odometry comes from: "poses", "tf" or "none". sensor_pose: `T_robot_sensor`, where no transform
-    tells it. refused: messages not used, by reason; first_refusals: the first of each reason.
+    tells it. sweep: [s] that a scan takes, as its driver states it. refused: messages not used, by reason;
+    first_refusals: the first of each reason.
     """
 
     def __init__(self, wheels: str = POSES, sensor_pose: Sequence[float] | None = None) -> None:
@@ -62,6 +63,7 @@ class Assembly:
         self.refused: Counter[str] = Counter()
         self.first_refusals: dict[str, str] = {}
         self.odom_frame = self.base_frame = self.sensor_frame = ""
+        self.sweep = 0.0
         self.latest: Row | None = None
         self._given = None if sensor_pose is None else frozen(sensor_pose)
         self._tf = Transforms()
@@ -149,6 +151,8 @@ class Assembly:
         try:
             raw = self._raw(message)
             self._take_stamp(raw.t, scanner)
+            if self.sweep == 0.0 and 0.0 < raw.sweep < LONGEST_SWEEP:
+                self.sweep = raw.sweep
         except RefusedError as error:
             self.refuse(error)
             return
@@ -184,6 +188,7 @@ class Assembly:
             step,
             float(message.range_min),
             limit if limit > 0 else np.inf,
+            sweep=float(message.time_increment) * (n - 1),
         )
         if not is_sound(raw) or np.isnan(raw.range_min) or GREATEST < limit < np.inf:
             raise RefusedError("malformed", "a scan whose angles or limits are none")

@@ -285,6 +285,7 @@ class RosFeed:
             odometry=wheels != NO_ODOMETRY,
             odometry_from=wheels,
             log_hash=self.asked.run,
+            sweep=self.assembly.sweep,
         )
 
     def _whole(self, placed: list[Stamped], rows: list[Row]) -> list[Numbered]:
