@@ -105,13 +105,23 @@ def test_the_nearest_cell_is_the_one_of_least_distance_whose_normal_agrees():
         at = points[k] + rng.normal(0, 0.15, 2)
         normal = se2.rotation(rng.normal(0, 0.9)) @ normals[k]
         want = found(lines, at, normal, q[k])
-        D, dx, dy, nx, ny, like = nearest_cell(lines, CELL, *at, *normal, q[k], ALPHA, AGREE)
+        D, dx, dy, nx, ny, like = nearest_cell(lines, CELL, *at, *normal, q[k], ALPHA, AGREE, np.inf)
         if want is None:
             assert np.inf == D
             none += 1
             continue
         np.testing.assert_allclose([D, dx, dy, nx, ny, like], [want[0], *want[1], *want[2], want[3]], atol=1e-5)
     assert 5 < none < 60
+
+
+def test_past_the_end_of_a_wall_that_was_seen_a_return_is_of_nothing_known():
+    x = np.arange(0.0, 1.0, 0.02)
+    _, lines = built(np.column_stack([x, np.full_like(x, 0.1)]), np.tile([0.0, 1.0], (len(x), 1)), np.zeros(len(x)))
+    for q, alpha in ((0.0, 0.0), (0.6, 1.0)):  # what it is told by may not bring it back
+        for beyond, known in ((-0.05, True), (0.05, True), (0.2, False)):
+            D = nearest_cell(lines, CELL, 1.0 + beyond, 0.15, 0.0, 1.0, q, alpha, AGREE, 0.25)[0]
+            assert np.isfinite(D) == known
+            assert np.isfinite(nearest_cell(lines, CELL, 1.0 + beyond, 0.15, 0.0, 1.0, q, alpha, AGREE, 1.0)[0])
 
 
 def scan(rng, n=40):
@@ -157,8 +167,8 @@ def test_a_step_of_scan_matching_is_the_dense_one(tangent):
         pose, H, cost = align_scan(
             lines,
             CELL,
-            ScanPoints(s, normal, q),
-            MatchCost(ALPHA, AGREE, information, tangent, KAPPA),
+            ScanPoints(s, normal, q, np.zeros(len(q))),
+            MatchCost(ALPHA, AGREE, information, tangent, KAPPA, np.inf),
             start,
             predicted,
             sd,
@@ -177,7 +187,12 @@ def test_a_match_walks_to_where_its_own_step_is_nothing():
     _, lines = built(*walls(rng))
     s, normal, q, T = scan(rng)
     sd = np.array([0.3, 0.3, 0.3])
-    at = (lines, CELL, ScanPoints(s, normal, q), MatchCost(ALPHA, AGREE, 60.0 / 0.02**2, 0.1, KAPPA))
+    at = (
+        lines,
+        CELL,
+        ScanPoints(s, normal, q, np.zeros(len(q))),
+        MatchCost(ALPHA, AGREE, 60.0 / 0.02**2, 0.1, KAPPA, np.inf),
+    )
     pose, _, cost = align_scan(*at, T + np.array([0.05, -0.04, 0.04]), T, sd, 60)
     _, _, there = align_scan(*at, T, T, sd, 1)
     assert np.abs(se2.between(T, pose)).max() < 0.03
@@ -192,10 +207,12 @@ def test_a_match_against_one_wall_walks_on_while_it_still_moves_towards_it(turn)
     R = se2.rotation(turn)
     wall, facing = np.column_stack([np.full(40, 1.13), u]) @ R.T, np.tile([-1.0, 0.0], (40, 1)) @ R.T
     _, lines = built(wall, facing, np.zeros(40))
-    cost = MatchCost(ALPHA, AGREE, 60.0 / 0.02**2, 0.0, 0.05)
+    cost = MatchCost(ALPHA, AGREE, 60.0 / 0.02**2, 0.0, 0.05, np.inf)
     start = np.array([*(R @ [0.08, 0.0]), 0.0])
     ends = [
-        align_scan(lines, CELL, ScanPoints(wall, facing, np.zeros(40)), cost, start, start, np.full(3, 5.0), n)[0]
+        align_scan(
+            lines, CELL, ScanPoints(wall, facing, np.zeros(40), np.zeros(40)), cost, start, start, np.full(3, 5.0), n
+        )[0]
         for n in (1, 2, 60)
     ]
     left = [np.hypot(*end[:2]) for end in ends]

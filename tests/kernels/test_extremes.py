@@ -114,10 +114,10 @@ def into_local_map(x):
     for sign in (1.0, -1.0):
         add_points(sums, 0.1, points, normals, q, sign)
         fit_lines(sums, lines, 0.1, points)
-    scan = ScanPoints(x(n, 2), x(n, 2), x(n))
-    cost = MatchCost(0.1, 0.5, 1e4, 0.1, 0.1)
+    scan = ScanPoints(x(n, 2), x(n, 2), x(n), x(n))
+    cost = MatchCost(0.1, 0.5, 1e4, 0.1, 0.1, 0.05)
     align_scan(lines, 0.1, scan, cost, x.poses(), x.poses(), np.ones(3), 4)
-    count_matches(lines, 0.1, *scan, 0.1, 0.5, x.poses(), 0.1)
+    count_matches(lines, 0.1, *scan[:3], 0.1, 0.5, x.poses(), 0.1)
 
 
 def laid(x):

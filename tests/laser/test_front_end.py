@@ -7,6 +7,7 @@ import pytest
 
 import mapweave
 from mapweave.core import se2
+from mapweave.core.records import Scan
 from mapweave.kernels.laser.local_map import count_matches
 from mapweave.laser import closures
 from mapweave.laser.beam import BeamConfig, beams
@@ -110,6 +111,32 @@ def test_along_a_bare_corridor_a_robot_without_odometry_drives_on_as_it_did():
         true = se2.compose(way[-1], np.array(step))
         found = fe.match_alone(seen(true, **room), way[-1], np.array(step), SD)
         assert np.abs(se2.between(true, found.pose)).max() < 0.1
+
+
+def in_a_corridor_of_doors(pose):
+    """A scan over 180 degrees in a corridor 2 m wide, whose right wall stands back by 0.15 m at every second metre."""
+    angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 181)
+    x = np.linspace(-8.0, 12.0, 4001)
+    right = np.where(x % 2.0 < 1.0, -1.0, -1.15)
+    c, s = np.cos(angle + pose[2]), np.sin(angle + pose[2])
+    r = np.full(len(angle), 30.0)
+    for k in np.flatnonzero(s > 1e-3):
+        r[k] = (1.0 - pose[1]) / s[k]
+    for k in np.flatnonzero(s < -1e-3):
+        far = (x - pose[0]) / c[k] if abs(c[k]) > 1e-9 else np.full(len(x), np.inf)
+        within = (far > 0.0) & (pose[1] + far * s[k] <= right)
+        r[k] = far[within].min() if within.any() else 30.0
+    return beams(Scan(r, r < 9.0, None, -0.5 * np.pi, float(angle[1] - angle[0]), 9.0), "none", None, BeamConfig())
+
+
+def test_walls_that_come_into_view_do_not_pull_a_scan_along():
+    fe = FrontEnd(FrontEndConfig())
+    for k in range(8):  # it drives backwards, so that what is new stands beside it
+        fe.insert(in_a_corridor_of_doors((-0.45 * k, 0.0, 0.0)), np.array([-0.45 * k, 0.0, 0.0]))
+    true = np.array([-0.45 * 8, 0.0, 0.0])
+    for off in (0.0, 0.03, -0.03):
+        found = fe.match(in_a_corridor_of_doors(true), np.add(true, [off, 0.0, 0.0]), np.array([0.1, 0.1, 0.05]))
+        assert np.abs(found.pose - true).max() < 0.03
 
 
 @pytest.mark.parametrize("sd", [[0.3, 0.26, 0.05], [0.1, 0.5, 0.02], [2.0, 2.0, 1.0]])

@@ -93,8 +93,8 @@ def test_the_information_of_a_match_is_small_along_a_corridor_and_large_across()
     pose, H, _ = align_scan(
         lines,
         0.1,
-        ScanPoints(wall, normal, np.zeros(len(wall))),
-        MatchCost(1.0, 0.5, 60 / 0.02**2, 0.0, 0.1),
+        ScanPoints(wall, normal, np.zeros(len(wall)), np.zeros(len(wall))),
+        MatchCost(1.0, 0.5, 60 / 0.02**2, 0.0, 0.1, 1.0),
         np.array([0.03, 0.04, 0.01]),
         np.zeros(3),
         sd,

@@ -37,6 +37,8 @@ WIDE_REACH = 0.1  # [m] a return this near its line counts there, on the coarse 
 WIDE_TRIES = 3  # rotations, those that most returns match, which are refined
 WIDE_TURN = 0.15  # [rad] standard deviation of the turn there, at least
 WIDE_UNDER = 0.65  # share of returns matched under which rotations are tried
+PAST = 0.4  # of a cell, or
+PAST_SD = 1.0  # sd of what odometry may err by: so far past the end of a wall that was seen a return may be of it
 FRONT_END_REACH = 0.1  # [m] a return this near its line counts as matched
 LEAST_SHARE = 0.25  # share of the returns that must match, or odometry is taken
 GYRO_SCALE = 0.03  # share of a turn by which the turn of a gyroscope may err besides
@@ -211,8 +213,10 @@ class FrontEnd:
         _, H, _ = align_scan(
             self.fine,
             FRONT_END_FINE,
-            ScanPoints(b.s, b.normal, b.q),
-            MatchCost(c.alpha, FRONT_END_AGREE, c.neff / FRONT_END_SIGMA**2, 0.0, FRONT_END_KAPPA),
+            _points(b, c.alpha),
+            MatchCost(
+                c.alpha, FRONT_END_AGREE, c.neff / FRONT_END_SIGMA**2, 0.0, FRONT_END_KAPPA, PAST * FRONT_END_FINE
+            ),
             pose,
             pose,
             held,
@@ -238,9 +242,17 @@ class FrontEnd:
         self, b: Beams, start: np.ndarray, predicted: np.ndarray, sd: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, float]:
         c = self.cfg
-        scan = ScanPoints(b.s, b.normal, b.q)
-        fine = MatchCost(c.alpha, FRONT_END_AGREE, c.neff / FRONT_END_SIGMA**2, self.tangent, FRONT_END_KAPPA)
-        coarse = fine._replace(kappa=COARSE_KAPPA)
+        scan = _points(b, c.alpha)
+        past = PAST_SD * float(np.max(sd[:2]))
+        fine = MatchCost(
+            c.alpha,
+            FRONT_END_AGREE,
+            c.neff / FRONT_END_SIGMA**2,
+            self.tangent,
+            FRONT_END_KAPPA,
+            max(PAST * FRONT_END_FINE, past),
+        )
+        coarse = fine._replace(kappa=COARSE_KAPPA, past=max(PAST * FRONT_END_COARSE, past))
         pose, _, _ = align_scan(self.coarse, FRONT_END_COARSE, scan, coarse, start, predicted, sd, COARSE_ITERATIONS)
         pose, H, cost = align_scan(self.fine, FRONT_END_FINE, scan, fine, pose, predicted, sd, FINE_ITERATIONS)
         pose[2] = se2.wrap_angle(pose[2])
@@ -248,6 +260,15 @@ class FrontEnd:
 
     def _count(self, grid: np.ndarray, cell: float, b: Beams, pose: np.ndarray, reach: float) -> int:
         return count_matches(grid, cell, b.s, b.normal, b.q, self.cfg.alpha, FRONT_END_AGREE, pose, reach)
+
+
+def _points(b: Beams, alpha: float) -> ScanPoints:
+    """The returns of a scan for matching. alpha: 0 where light tells nothing of where along a wall a return is."""
+    apart = np.zeros(len(b.s))
+    if alpha == 0.0 and len(b.s) > 1:
+        step = np.hypot(*np.diff(b.s, axis=0).T)
+        apart = np.minimum(np.append(step, np.inf), np.append(np.inf, step))
+    return ScanPoints(b.s, b.normal, b.q, apart)
 
 
 def _keyframe(scans: Sequence[tuple[Beams, Float[np.ndarray, "3"]]]) -> _Keyframe:

@@ -18,18 +18,23 @@ from ..cells import cell_of
 
 
 class ScanPoints(NamedTuple):
-    """n returns of a scan: s (n, 2) [m] and normal (n, 2) in the robot frame, q (n,) feature."""
+    """n returns of a scan: s (n, 2) [m] and normal (n, 2) in the robot frame, q (n,) feature.
+
+    apart: (n,) [m] to the nearer of the returns beside each.
+    """
 
     s: np.ndarray
     normal: np.ndarray
     q: np.ndarray
+    apart: np.ndarray
 
 
 class MatchCost(NamedTuple):
     """What a match minimises; see `align_scan`.
 
     alpha: [m^2] of a squared difference of q; agree: cosine up to which normals are of one wall; information: [1/m^2]
-    of all returns together; tangent: the share of errors along a line; kappa: [m] width of the robust kernel.
+    of all returns together; tangent: the share of errors along a line; kappa: [m] width of the robust kernel; past: [m]
+    along a line from its nearest cell, up to which a return may be of it.
     """
 
     alpha: float
@@ -37,6 +42,7 @@ class MatchCost(NamedTuple):
     information: float
     tangent: float
     kappa: float
+    past: float
 
 
 @kernel
@@ -121,17 +127,28 @@ def fit_line(sums: np.ndarray, lines: np.ndarray, cell: float, ix: int, iy: int)
 
 @kernel
 def nearest_cell(
-    lines: np.ndarray, cell: float, wx: float, wy: float, nx: float, ny: float, q: float, alpha: float, agree: float
+    lines: np.ndarray,
+    cell: float,
+    wx: float,
+    wy: float,
+    nx: float,
+    ny: float,
+    q: float,
+    alpha: float,
+    agree: float,
+    past: float,
 ) -> tuple[float, float, float, float, float, float]:
     """Of the 3x3 cells around (wx, wy) the one of least D whose normal agrees: (D, dx, dy, normal x, y, line-like).
 
     dx, dy: the point seen from the cell's mean [m]; agree: above 0, so that a cell without a line never does. D is
-    infinite when none agrees.
+    infinite when none agrees, and when the point lies farther than `past` [m] along the line from the nearest that
+    does: where a wall has not been seen yet, what stands there need not be of it.
     """
     mask = lines.shape[0] - 1
     jx, jy = cell_of(wx / cell), cell_of(wy / cell)
     ox, oy = wx - jx * cell, wy - jy * cell
-    best = math.inf
+    best = nearest = math.inf
+    along = 0.0
     bx = by = bnx = bny = bw = 0.0
     for a in range(-1, 2):
         for b in range(-1, 2):
@@ -139,9 +156,16 @@ def nearest_cell(
             dx = ox - b * cell - lines[iy, ix, 0]
             dy = oy - a * cell - lines[iy, ix, 1]
             dq = q - lines[iy, ix, 4]
-            d = dx * dx + dy * dy + alpha * dq * dq
-            if d < best and d < 1e6 and lines[iy, ix, 2] * nx + lines[iy, ix, 3] * ny >= agree:
+            away = dx * dx + dy * dy
+            d = away + alpha * dq * dq
+            if d >= 1e6 or lines[iy, ix, 2] * nx + lines[iy, ix, 3] * ny < agree:
+                continue
+            if away < nearest:
+                nearest, along = away, abs(lines[iy, ix, 3] * dx - lines[iy, ix, 2] * dy)
+            if d < best:
                 best, bx, by, bnx, bny, bw = d, dx, dy, lines[iy, ix, 2], lines[iy, ix, 3], lines[iy, ix, 5]
+    if along > past:
+        best = math.inf
     return best, bx, by, bnx, bny, bw
 
 
@@ -165,7 +189,7 @@ def count_matches(
         wy = pose[1] + si * s[i, 0] + c * s[i, 1]
         nx = c * normal[i, 0] - si * normal[i, 1]
         ny = si * normal[i, 0] + c * normal[i, 1]
-        d, dx, dy, mx, my, _ = nearest_cell(lines, cell, wx, wy, nx, ny, q[i], alpha, agree)
+        d, dx, dy, mx, my, _ = nearest_cell(lines, cell, wx, wy, nx, ny, q[i], alpha, agree, math.inf)
         if d < math.inf and abs(mx * dx + my * dy) < reach:
             matched += 1
     return matched
@@ -188,8 +212,8 @@ def align_scan(  # noqa: PLR0915  (one loop over the beams)
     the tangent of the cell's line, rho Geman-McClure of width `kappa` [m], delta the deviation from `predicted` in
     its own frame, m the points of the scan.
     """
-    s, normal, q = scan
-    alpha, agree, information, tangent, kappa = cost_of
+    s, normal, q, apart = scan
+    alpha, agree, information, tangent, kappa, past = cost_of
     pose = start.copy()
     n = s.shape[0]
     H = np.zeros((3, 3))
@@ -206,7 +230,9 @@ def align_scan(  # noqa: PLR0915  (one loop over the beams)
             ry = si * s[i, 0] + c * s[i, 1]
             nx = c * normal[i, 0] - si * normal[i, 1]
             ny = si * normal[i, 0] + c * normal[i, 1]
-            d, dx, dy, mx, my, like = nearest_cell(lines, cell, pose[0] + rx, pose[1] + ry, nx, ny, q[i], alpha, agree)
+            d, dx, dy, mx, my, like = nearest_cell(
+                lines, cell, pose[0] + rx, pose[1] + ry, nx, ny, q[i], alpha, agree, max(past, apart[i])
+            )
             if not d < math.inf:
                 cost += per_beam * k2
                 continue
