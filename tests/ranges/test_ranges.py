@@ -10,6 +10,7 @@ from mapweave.api.ranges import _findings
 from mapweave.core import se2
 from mapweave.core.findings import Finding, verdict
 from mapweave.core.records import Track
+from mapweave.io.pyfg import write_pyfg
 from mapweave.ranges import log as range_log
 from mapweave.ranges.estimate import RangeEstimate, _mirrored, _Noise, _of_layout, _unlikely, estimate
 from mapweave.ranges.factors import lasting, motion_factor, range_factor
@@ -242,6 +243,21 @@ def test_noise_and_bias_are_found_from_the_log_whatever_a_graph_states_of_its_ra
     assert found.radios[0].sd == pytest.approx(0.05, rel=0.3)
     assert found.radios[0].bias == pytest.approx(BIAS, abs=0.05)
     assert ("ranges-worse" in {f.code for f in _findings(net, found)}) == (sd < 0.01)
+
+
+def test_a_graph_that_states_metres_of_error_of_its_odometry_makes_no_good_map(tmp_path):
+    log, verdicts = ranged(TWO, {}), {}
+    log = replace(log, **{name: getattr(log, name)[::10] for name in ("a", "b", "t", "z")})
+    net = network_of(log)
+    net = replace(net, ranges=replace(net.ranges, sd=np.full(len(net.ranges), 0.05)))
+    for sd in (0.02, 1.0):
+        cov = np.tile(np.diag([sd**2, sd**2, sd**2]), (len(net.motions.z), 1, 1))
+        write_pyfg(
+            tmp_path / "graph.pyfg", replace(net, motions=replace(net.motions, cov=cov)), np.zeros((len(net.t), 3))
+        )
+        solved = mapweave.solve_ranges(tmp_path / "graph.pyfg")
+        verdicts[sd] = solved.verdict, {f.robot for f in solved.findings if f.code == "way-loose"}
+    assert verdicts == {0.02: ("good", set()), 1.0: ("doubtful", {"A", "B"})}
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ from ..report.result import ResultBase, Rows, written
 from ..report.score import headline_scores
 from ..report.style import Target
 from ..team.georeference import laid_ranges
-from ..team.team_map import TeamMap, in_first_frame
+from ..team.team_map import TeamMap, in_first_frame, way_loose
 from .evaluate import Evaluation, judged
 from .map_options import MapOptions
 from .team import Watch
@@ -277,7 +277,7 @@ def _result(
     if not found.parts or not all(np.isfinite(part.pose).all() for part in found.parts):
         raise EstimateError(f"{source}: the solve ended with numbers that are not finite")
     maps = tuple(_team(net, part, found) for part in found.parts)
-    told = (*findings, *_findings(net, found))
+    told = (*findings, *_findings(net, found), *(loose for team in maps for loose in way_loose(team)))
     timing = {k: round(v, 4) for k, v in watch.seconds.items()}
     return RangeResult(maps, net, found, told, source, tuple(unused), timing, georeference=georeference)
 
