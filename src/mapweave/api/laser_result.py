@@ -310,7 +310,7 @@ def woven_result(
         *overruled,
         *placed.findings,
         *(found for m in merges for found in _told_of(m)),
-        *copies_found([m.graph for m in stored if m.graph is not None]),
+        *copies_found([m.graph for m in stored if m.graph is not None], [woven.tracks for woven in components]),
         *(_apart(components) if merge else ()),
     ]
     metrics = laser_metrics(stored, seed, components, merges, timing, whole)

@@ -527,8 +527,8 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
         ),
         "logs-alike": FindingKind(
             "doubtful",
-            "it and {other} hold the same scans at {same:.0f} of {all:.0f} keyframes: their logs seem to be copies of "
-            "one drive",
+            "it and {other} hold the same scans, or were in one place at one time, at {same:.0f} of {all:.0f} "
+            "keyframes: their logs seem to be copies of one drive",
             "One drive counts twice, and the map is surer than it should be.",
             "Leave one of the two out.",
         ),

@@ -15,10 +15,10 @@ Jumps. Where the scene changes at once though the wheels hardly moved, the robot
 Places. A trajectory that says it passes by places seen before, where none of them is found again, is told.
 
 Copies. Robots whose logs are copies of one drive hold the same returns, with other stamps or other scans left out:
-noise never comes twice.
+noise never comes twice. Where noise was added they are in one place at one time.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -71,7 +71,10 @@ JUMP_LATE = 50  # scans, after which the first of a scanner belongs to another d
 
 COPY_LEAST_RETURNS = 30  # of a keyframe that is compared,
 COPY_SCANS = 5  # keyframes that are equal, at least, and
-COPY_SHARE = 0.05  # of the keyframes of the robot that has fewer
+COPY_SHARE = 0.05  # of the keyframes of the robot that has fewer; or
+ONE_PLACE = 0.15  # [m] within which the other is at the same time, as two robots cannot be, at
+ONE_PLACE_SHARE = 0.9  # of the keyframes of that robot, which are
+ONE_PLACE_LEAST = 20  # at least
 
 
 def stamp_lag(t: Float[np.ndarray, " m"], heading: Float[np.ndarray, " m"], odometry: Track | None) -> float | None:
@@ -269,16 +272,40 @@ def _one_to_the_next(scans: Sequence[Scan], late: int) -> tuple[Int[np.ndarray, 
     return before, after
 
 
-def copies_found(graphs: Sequence[RobotGraph]) -> list[Finding]:
-    """A finding for each pair of robots of which keyframes have the same returns, to the last digit."""
+def copies_found(graphs: Sequence[RobotGraph], maps: Sequence[Mapping[str, Track]] = ()) -> list[Finding]:
+    """A finding for each pair of robots of which keyframes have the same returns, to the last digit, or places.
+
+    maps: of each map, its robots' trajectories: two of them that are in one place all the time are one, whatever noise
+    was added to its log. Stamps count from the same clock, or from where either log begins.
+    """
     seen = [_keyframes(graph) for graph in graphs]
     out = []
     for a, b in combinations(range(len(graphs)), 2):
         equal, fewer = len(seen[a] & seen[b]), min(len(seen[a]), len(seen[b]))
-        if equal >= max(COPY_SCANS, COPY_SHARE * fewer):
+        copied = equal >= max(COPY_SCANS, COPY_SHARE * fewer)
+        if not copied:
+            short, long = sorted((graphs[a], graphs[b]), key=len)
+            tracks = next((m for m in maps if {short.robot, long.robot} <= m.keys()), None)
+            equal, fewer = (
+                0 if tracks is None else _in_one_place(short, tracks[short.robot], tracks[long.robot]),
+                len(short),
+            )
+            copied = equal >= max(ONE_PLACE_LEAST, ONE_PLACE_SHARE * fewer)
+        if copied:
             other = robot_name(graphs[a].robot)
             out.append(Finding("logs-alike", graphs[b].robot, value={"other": other, "same": equal, "all": fewer}))
     return out
+
+
+def _in_one_place(graph: RobotGraph, one: Track, other: Track) -> int:
+    """At how many keyframes, whose robot's trajectory is `one`, the `other` robot is where this one is."""
+    at, most = se2.interpolate(graph.t, one.t, one.pose), 0
+    for lag in (0.0, other.t[0] - one.t[0]):
+        t = graph.t + lag
+        there = (t >= other.t[0]) & (t <= other.t[-1])
+        off = se2.interpolate(t[there], other.t, other.pose)[:, :2] - at[there, :2]
+        most = max(most, int((np.hypot(off[:, 0], off[:, 1]) < ONE_PLACE).sum()))
+    return most
 
 
 def _keyframes(graph: RobotGraph) -> set[bytes]:
