@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import mapweave
 from mapweave.core.errors import ReaderError
 from mapweave.io.bag import Bag, open_bag
 from mapweave.io.bag_robots import ODOMETRY, SCAN, bag_robots
@@ -204,3 +205,20 @@ def test_a_folder_of_recordings_is_a_robot_each_unless_they_are_parts_of_one(tmp
         tmp_path / "nowhere",
     ):
         assert recordings_in(whole) == [whole]
+
+
+def test_a_log_of_another_kind_beside_recordings_is_told_not_left_out_in_silence(tmp_path):
+    for name in ("robot1.mcap", "robot2.mcap", "notes.txt"):
+        (tmp_path / name).write_bytes(b"")
+    (tmp_path / "robot3.clf").write_text("FLASER 3 1.0 1.1 1.2 0 0 0 0 0 0 0.1 host 0.1\n" * 3)
+    with pytest.raises(ReaderError, match=r"robot3\.clf; name each"):
+        recordings_in(tmp_path)
+
+
+def test_a_folder_of_recordings_is_read_as_it_is_mapped(tmp_path):
+    for robot, v in SPEED.items():
+        out = Recording(tmp_path / f"{robot}.mcap")
+        for k in range(20):
+            driving(out, "", k, speed=v)
+        out.write()
+    assert mapweave.read(tmp_path).robots == ("1", "2", "3")

@@ -17,7 +17,7 @@ from ..core.names import robot_key, robot_name
 from ..core.paths import path_of
 from ..core.records import Event
 from ..io.landmark_logs import is_landmark_log, read_landmark_logs
-from ..io.laser_logs import read_laser
+from ..io.laser_logs import read_laser, recordings_in
 from ..io.mixed_logs import is_mixed, read_mixed_landmarks, sorted_logs
 from .in_memory import each_of
 from .map_laser import next_robots, source_of, sources_of
@@ -140,6 +140,7 @@ def read(logs: Path | str | Sequence[Path | str], *, laser: LaserOptions | None 
         parts = [one for one in read_mixed_landmarks(by_kind) if len(one)]
         parts += [read_laser(of.path, robot_key(robot), of.source) for robot, of in by_kind.lasers.items()]
         return Log(tuple(paths), tuple(parts))
+    paths = [recording for path in paths for recording in recordings_in(path)]
     lasers = [path for path in paths if not is_landmark_log(path)]
     parts += [one for path in paths if path not in lasers for one in read_landmark_logs(path)]
     held = [(path, of) for path in lasers for of in sources_of(path, source)]

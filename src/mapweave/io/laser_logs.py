@@ -56,11 +56,18 @@ def is_bag(path: Path) -> bool:
 def recordings_in(path: Path) -> list[Path]:
     """The recordings of a folder without metadata that holds several, one a robot, in natural order; else `path` alone.
 
-    Those that are named as parts of one recording, NAME_0, NAME_1 .., are not taken for robots.
+    Those that are named as parts of one recording, NAME_0, NAME_1 .., are not taken for robots. Raises ReaderError for
+    logs of another kind beside them: which are other robots' and which are copies nobody knows.
     """
     if not path.is_dir() or (path / "metadata.yaml").is_file():
         return [path]
     inside = sorted((p for p in path.iterdir() if p.suffix in BAGS), key=lambda p: in_order(p.name))
+    if inside and (
+        others := sorted(p.name for p in path.iterdir() if p not in inside and p.is_file() and is_laser_log(p))
+    ):
+        raise ReaderError(
+            path, f"expected recordings alone, found other logs beside them: {', '.join(others)}; name each"
+        )
     parts = [part for p in inside if (part := PART.fullmatch(p.stem)) is not None]
     split = len(parts) == len(inside) and len({part[1] for part in parts}) == 1 and "0" in {part[2] for part in parts}
     return [path] if len(inside) < 2 or split else inside
