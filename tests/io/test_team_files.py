@@ -7,10 +7,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from mapweave.api.map_laser import LaserMapConfig
+from mapweave.core.config import load
 from mapweave.core.errors import DataError, ReaderError
 from mapweave.core.names import in_order, robot_key, robot_name
 from mapweave.core.records import Track
-from mapweave.io.directory import write_json
+from mapweave.exploration.laser.config import find_laser_scenario
+from mapweave.io.decisions import read_decisions
+from mapweave.io.directory import read_json, write_json
 from mapweave.io.npz import write_npz
 from mapweave.io.team_map import read_members, read_team_maps, told_gaps, write_landmarks, write_tracks
 from mapweave.io.tum import read_tum, write_track_covariance, write_tum
@@ -85,6 +89,30 @@ def test_a_broken_tum_line_is_named(tmp_path, line):
     path.write_text(f"# t x y z qx qy qz qw\n0 0 0 0 0 0 0 1\n{line}\n")
     with pytest.raises(ReaderError, match=r"t\.tum:3"):
         read_tum(path)
+
+
+def test_a_robot_that_nothing_places_has_an_empty_trajectory_and_a_lost_one_is_refused(tmp_path):
+    nowhere = Track(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3, 3)))
+    team = replace(a_team(), tracks={**a_team().tracks, "robot3": nowhere})
+    write_tracks(tmp_path, team)
+    (back,) = read_team_maps(tmp_path)
+    assert len(back.tracks["robot3"].t) == 0
+    (tmp_path / "trajectories" / "robot2.tum").write_bytes(b"")
+    with pytest.raises(ReaderError, match=r"robot2\.tum: expected a trajectory, found no poses"):
+        read_team_maps(tmp_path)
+
+
+def test_text_that_begins_with_a_mark_of_its_encoding_is_read(tmp_path):
+    path = tmp_path / "file"
+    for text, read in (
+        ("0 1 2 0 0 0 0 1\n", lambda path: read_tum(path).pose[0, 0] == 1.0),
+        ("[laser]\nparticles = 7\n", lambda path: load(LaserMapConfig, path).laser.particles == 7),
+        ('[logs]\n1 = "a"\n', lambda path: read_decisions(path).logs == {"1": "a"}),
+        ('sensor = "laser"\noffice = 500\n', lambda path: find_laser_scenario(str(path)).office == 500),
+        ('{"a": 1}', lambda path: read_json(path) == {"a": 1}),
+    ):
+        path.write_text(text, encoding="utf-8-sig")
+        assert read(path), text
 
 
 def test_numbers_in_names_are_put_in_order_as_numbers():

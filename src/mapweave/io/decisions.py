@@ -96,11 +96,13 @@ def _places(maps: Sequence[LaserMap], merges: Sequence[Merge]) -> list[PlaceRow]
 def read_decisions(path: Path) -> Decisions:
     """The rows of a file. Raises ReaderError, with all that is wrong in it, where it is none."""
     try:
-        held = tomllib.loads(path.read_text(encoding="utf-8"))
+        held = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise ReaderError(path, f"expected a file of decisions: {error.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ReaderError(path, f"expected TOML: {error}") from None
+    except RecursionError:
+        raise ReaderError(path, "expected tables and lists, found them nested too deeply to read") from None
     return decisions_of(held, path)
 
 

@@ -138,7 +138,7 @@ def write_json(path: Path, value: Any) -> None:
 def read_json(path: Path) -> dict[str, Any]:
     """The JSON object in `path`; raises ReaderError when it cannot be read or is none."""
     try:
-        value = json.loads(path.read_text(encoding="utf-8"), parse_float=_finite, parse_constant=_finite)
+        value = json.loads(path.read_text(encoding="utf-8-sig"), parse_float=_finite, parse_constant=_finite)
     except OSError as error:
         raise ReaderError(path, f"cannot be read: {error.strerror or error}") from None
     except ValueError as error:

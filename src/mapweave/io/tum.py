@@ -30,7 +30,7 @@ def read_tum_rows(path: Path) -> Float[np.ndarray, "n 8"]:
     Raises ReaderError naming the first line that is not eight finite numbers.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise ReaderError(path, f"expected a TUM trajectory: {error}") from None
     rows: list[tuple[float, ...]] = []
@@ -57,12 +57,15 @@ def read_tum_rows(path: Path) -> Float[np.ndarray, "n 8"]:
 def read_result_track(path: Path) -> Track:
     """The trajectory of a result, with the covariances beside it where there are any.
 
-    Raises ReaderError for a line that does not parse or turns no way, and for covariances of other stamps.
+    That of a robot which nothing places is empty, as are the covariances beside it. Raises ReaderError for a line that
+    does not parse or turns no way, and for covariances of other stamps.
     """
+    beside = path.with_suffix(".cov.csv")
+    if not path.stat().st_size and beside.exists() and beside.stat().st_size == len(COVARIANCE_HEAD) + 1:
+        return Track(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3, 3)))
     rows = read_tum_rows(path)
     if not (np.abs(np.linalg.norm(rows[:, 4:], axis=1) - 1.0) < UNIT).all():
         raise ReaderError(path, "expected unit quaternions, found another")
-    beside = path.with_suffix(".cov.csv")
     return read_track_covariance(beside, track_from(rows)) if beside.exists() else track_from(rows)
 
 

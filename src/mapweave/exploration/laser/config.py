@@ -137,7 +137,7 @@ def find_laser_scenario(name: str) -> LaserScenarioConfig | None:
         return LaserScenarioConfig(office=_area(name))
     path = Path(name)
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
+        values = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError):
         return None  # said by who reads landmark scenarios
     if "sensor" not in values and "office" not in values:
