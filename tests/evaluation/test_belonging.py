@@ -124,6 +124,11 @@ def test_a_way_no_nearer_to_the_truth_than_its_middle_is_told():
     assert score_team([one], {}, NO_SURVEY, {"robot1": RobotTruth("TUM", own)}).doubts == ()
     (told,) = score_team([one], {}, NO_SURVEY, {"robot1": RobotTruth("TUM", other)}).doubts
     assert "robot 1: a robot that stands in the middle" in told
+    for unit in (1000.0, 0.01 / 0.3048):
+        truths = {"robot1": RobotTruth("TUM", Track(t, own.pose * [unit * 100, unit * 100, 1])), "file a.tum": other}
+        told = score_team([one], {}, NO_SURVEY, truths).doubts
+        assert "times as far: the truth may be in another unit" in told[1]
+        assert told[0] == "file a.tum: it is of no robot of the result"
 
 
 def test_fewer_than_three_names_prove_nothing_either_way():

@@ -107,3 +107,18 @@ def test_a_planar_trajectory_a_pair_of_one_pose_and_other_times(tmp_path):
         mapweave.evaluate(late, a)
     with pytest.raises(mapweave.UsageError, match="expected one TUM trajectory"):
         mapweave.evaluate(a, [a, a])
+
+
+def test_a_mirrored_truth_is_told_though_turning_it_over_fits(tmp_path):
+    t, q = np.arange(50.0), np.tile([0.0, 0.0, 0.0, 1.0], (50, 1))
+    bent = np.column_stack([t, 3.0 * np.sin(t / 7) + t**2 / 50, np.zeros(50)])
+    away = np.array([9.0, 2.0, 0.0])
+    for way, mirrored in ((bent, True), (bent * [1.0, 1e-9, 1.0], False)):  # a straight way is its own mirror image
+        own, turned = (
+            written(tmp_path / "own.tum", t, way, q),
+            written(tmp_path / "b.tum", t, way[:, [1, 0, 2]] + away, q),
+        )
+        score = mapweave.evaluate(own, turned)
+        assert score.as_json()["ape_aligned"]["max"] < 1e-6
+        assert [line for line in score.lines() if "mirrored" in line] == [f"warning: {w}" for w in score.doubts]
+        assert (len(score.doubts) == 1) == mirrored

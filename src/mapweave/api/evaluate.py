@@ -11,14 +11,16 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
+from ..core import se2
 from ..core.errors import DataError, ReaderError, UsageError
 from ..core.names import in_order, robot_key, robot_name
 from ..core.paths import checked_arguments, is_path
 from ..core.records import Track
 from ..core.truth import NO_SURVEY, Relations, Survey
 from ..core.workers import one_blas_thread
+from ..evaluation.belonging import STILL
 from ..evaluation.swarm import StandingSwarm, SwarmScore, score_moving, score_standing
-from ..evaluation.team import RobotTruth, TeamScore, as_json, score_team
+from ..evaluation.team import LOOSE, RobotTruth, TeamScore, as_json, score_team
 from ..evaluation.trajectory import (
     WITHIN,
     Errors,
@@ -26,6 +28,7 @@ from ..evaluation.trajectory import (
     TrackScore,
     exact_pairs,
     nearest,
+    paired,
     score_relations,
     score_tracks,
 )
@@ -38,7 +41,7 @@ from ..io.saved_result import expect_whole
 from ..io.sightings import SwarmTruth
 from ..io.table import read_table
 from ..io.team_map import read_metrics, read_single_maps, read_team_maps
-from ..io.tum import read_tum, read_tum_rows, track_from
+from ..io.tum import read_result_track, read_tum, read_tum_rows, track_from
 from ..report.result import ResultBase
 from ..report.score import draw_bars, draw_team_score, draw_tracks
 from ..report.style import Target
@@ -66,8 +69,21 @@ class TrackEvaluation(EvaluationBase):
         if self.score is not None:
             draw_tracks(target, self.estimate, self.truth, self.score.T_truth_estimate)
 
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """That only half a turn about a level axis fits the two, as it does a way and its mirror image."""
+        if self.score is None or self.score.T_truth_estimate[2, 2] > 0:
+            return ()
+        ours, true, _ = paired(self.estimate, self.truth, dense=False)
+        level = (
+            se2.act(se2.align(ours[:, :2], true[:, :2]), ours[:, :2]) - true[:, :2]
+        )  # a straight way turns over freely
+        if np.sqrt(np.square(level).sum(axis=1).mean()) < max(STILL, 2.0 * self.score.ape_aligned.rmse):
+            return ()
+        return ("aligned by turning it over: seen from above the trajectory or the truth is mirrored",)
+
     def as_json(self) -> dict[str, Any]:
-        return {} if self.score is None else dict(plain(asdict(self.score)))
+        return {} if self.score is None else {**plain(asdict(self.score)), "warnings": [*self.doubts]}
 
     def lines(self) -> list[str]:
         if self.score is None:
@@ -75,7 +91,11 @@ class TrackEvaluation(EvaluationBase):
         s = self.score
         rows = [("APE as it is", s.ape, "m"), ("APE aligned", s.ape_aligned, "m"), ("RPE a step", s.rpe, "m")]
         rows += [("heading as it is", s.ape_rotation, "deg"), ("turn a step", s.rpe_rotation, "deg")]
-        return [f"{self.name}: {s.n} poses", *(_error_line(*row) for row in rows if row[1] is not None)]
+        return [
+            f"{self.name}: {s.n} poses",
+            *(_error_line(*row) for row in rows if row[1] is not None),
+            *(f"warning: {doubt}" for doubt in self.doubts),
+        ]
 
 
 def _error_line(what: str, e: Errors | None, unit: str) -> str:
@@ -162,7 +182,8 @@ def _component(directory: Path, folder: Path) -> dict[str, tuple[Track, Scans]]:
     """Robot -> its trajectory and scans; all of them as one where they drove one after the other in one map."""
     paths = sorted(folder.rglob("*.tum"), key=lambda p: in_order(p.as_posix()))
     names = [path.relative_to(folder).with_suffix("").as_posix() for path in paths]
-    each = {name: (read_tum(path), _scans(directory, name)) for name, path in zip(names, paths, strict=True)}
+    held = {name: read_result_track(path) for name, path in zip(names, paths, strict=True)}
+    each = {name: (track, _scans(directory, name)) for name, track in held.items() if len(track.t)}
     in_time = sorted(each.values(), key=lambda held: float(held[0].t[0]))
     apart = all(a.t[-1] < b.t[0] for (a, _), (b, _) in pairwise(in_time))
     if len(each) < 2 or not apart or not _one_map(directory, names):
@@ -419,7 +440,7 @@ def _belonging(paths: Sequence[Path], robots: Sequence[str]) -> dict[str, Path]:
     out: dict[str, Path] = {}
     for path, position in zip(paths, range(len(paths)), strict=True):
         named = IN_NAME.search(path.name)
-        robot = robot_name(named[1]) if named else robots[position] if position < len(robots) else f"file {path.name}"
+        robot = robot_name(named[1]) if named else robots[position] if position < len(robots) else f"{LOOSE}{path.name}"
         if robot in out:
             raise DataError(f"{path}: two true trajectories for {robot}, the other is {out[robot]}")
         out[robot] = path

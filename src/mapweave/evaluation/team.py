@@ -19,6 +19,8 @@ from .trajectory import align_tracks, ate, paired, rpe
 
 RPE_SECONDS = 10.0  # [s] over which relative pose errors are taken
 Spans = Sequence[tuple[float, float]]  # (begin, end) [s]
+LOOSE = "file "  # begins the name of a trajectory that no robot of the result is left for
+OTHER_UNIT = 2.0  # times as far, or as little, as the result a truth spreads that is in another unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +113,8 @@ def _doubts(
     truths: Mapping[str, RobotTruth],
     robots: Mapping[str, RobotScore],
 ) -> tuple[str, ...]:
-    """Why the truth may be of another recording: landmarks that fit by chance, or paths no nearer than their middle."""
+    """Why the truth may be of another recording or unit: landmarks fit by chance, paths no nearer than their middle."""
+    told = [f"{name}: it is of no robot of the result" for name in truths if name.startswith(LOOSE)]
     if score.rmse is not None:
         where = dict(zip(survey.ids, survey.xy, strict=True))
         ours, chosen = maps[0].landmarks, set(np.array(score.ids)[some(len(score.ids))].tolist())
@@ -124,20 +127,27 @@ def _doubts(
             return float(np.sqrt(np.mean(np.sum((se2.act(T, mean) - true[order]) ** 2, axis=1))))
 
         if another_order_fits(len(ids), error, spread_of(true)):
-            return (by_chance("landmarks", len(score.ids), score.rmse),)
-        return (doubt,) if (doubt := beyond(score.nees_per_dof)) else ()
+            return (*told, by_chance("landmarks", len(score.ids), score.rmse))
+        return (*told, doubt) if (doubt := beyond(score.nees_per_dof)) else tuple(told)
     tracks = {name: track for one in maps for name, track in one.tracks.items()}
-    return tuple(
-        f"robot {robot_key(name)}: a robot that stands in the middle of the true way is as near to it "
-        f"({spread:.3g} m): the truth may be of another robot or recording"
-        for name, r in robots.items()
-        if r.ate is not None and r.ate > max(STILL, spread := _spread(tracks[name], truths[name]))
-    )
-
-
-def _spread(track: Track, truth: RobotTruth) -> float:
-    """RMS distance of the true poses that count from their middle [m]."""
-    return spread_of(paired(track, truth.track, dense=truth.dense)[1][:, :2])
+    for name, r in robots.items():
+        if r.ate is None or r.ate <= STILL:
+            continue
+        ours, true = (
+            spread_of(places[:, :2])
+            for places in paired(tracks[name], truths[name].track, dense=truths[name].dense)[:2]
+        )
+        if not 1.0 / OTHER_UNIT < true / max(ours, STILL) < OTHER_UNIT and true > STILL:
+            told.append(
+                f"robot {robot_key(name)}: the true way spreads {true / max(ours, STILL):.3g} times as far: the truth "
+                "may be in another unit, or of another robot or recording"
+            )
+        elif r.ate > true:
+            told.append(
+                f"robot {robot_key(name)}: a robot that stands in the middle of the true way is as near to it "
+                f"({true:.3g} m): the truth may be of another robot or recording"
+            )
+    return tuple(told)
 
 
 def as_json(score: TeamScore) -> dict[str, object]:
