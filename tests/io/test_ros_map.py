@@ -135,3 +135,12 @@ def test_the_cells_of_a_turned_map_stand_upright_where_it_says_they_are(tmp_path
     np.testing.assert_array_equal(
         read_ros_map(put(tmp_path, YAML, pixels)).grid().to_numpy(), np.where(found.state == 1, 100, found.state)
     )
+
+
+def test_walls_of_a_map_that_lies_far_from_its_origin_stand_where_their_cells_are(tmp_path):
+    pixels = np.full((4, 6), 254, dtype=np.uint8)
+    pixels[2, 1] = pixels[0, 4] = 0
+    far = YAML.replace("[1.0, 2.0, 0.0]", "[500000.3, 5400000.1, 0.0]")  # metres east and north, as of UTM
+    found = read_ros_map(put(tmp_path, far, pixels))
+    grid = found.grid()
+    assert np.abs(grid.mean[grid.hits > 0] - found.occupied()).max() < 1e-6

@@ -133,19 +133,17 @@ def _doubts(
     for name, r in robots.items():
         if r.ate is None or r.ate <= STILL:
             continue
-        ours, true = (
-            spread_of(places[:, :2])
-            for places in paired(tracks[name], truths[name].track, dense=truths[name].dense)[:2]
-        )
-        if not 1.0 / OTHER_UNIT < true / max(ours, STILL) < OTHER_UNIT and true > STILL:
+        found, sought, _ = paired(tracks[name], truths[name].track, dense=truths[name].dense)
+        spread, wanted = max(spread_of(found[:, :2]), STILL), spread_of(sought[:, :2])
+        if not 1.0 / OTHER_UNIT < wanted / spread < OTHER_UNIT and wanted > STILL:
             told.append(
-                f"robot {robot_key(name)}: the true way spreads {true / max(ours, STILL):.3g} times as far: the truth "
+                f"robot {robot_key(name)}: the true way spreads {wanted / spread:.3g} times as far: the truth "
                 "may be in another unit, or of another robot or recording"
             )
-        elif r.ate > true:
+        elif r.ate > wanted:
             told.append(
                 f"robot {robot_key(name)}: a robot that stands in the middle of the true way is as near to it "
-                f"({true:.3g} m): the truth may be of another robot or recording"
+                f"({wanted:.3g} m): the truth may be of another robot or recording"
             )
     return tuple(told)
 

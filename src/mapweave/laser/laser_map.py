@@ -28,6 +28,8 @@ __all__ = ["GridMap", "IntensityCalibration"]
 
 OCCUPIED_ABOVE, FREE_BELOW = 0.65, 0.196  # probabilities of a wall, as ROS navigation's own thresholds are
 
+FAR = 1e4  # [m] from the frame's origin, beyond which four bytes round points to more than half a millimetre
+
 
 @dataclass(frozen=True, slots=True)
 class GridMap:
@@ -52,8 +54,10 @@ class GridMap:
         object.__setattr__(self, "origin", frozen(self.origin))
         for name in ("hits", "passes"):
             object.__setattr__(self, name, frozen(getattr(self, name), np.int32))
-        for name in ("mean", "feature", "weight"):
+        for name in ("feature", "weight"):
             object.__setattr__(self, name, frozen(getattr(self, name), np.float32))
+        far = np.abs(self.origin).max() > FAR
+        object.__setattr__(self, "mean", frozen(self.mean, np.float64 if far else np.float32))
 
     @property
     def shape(self) -> tuple[int, int]:
