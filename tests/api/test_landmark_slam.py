@@ -67,14 +67,43 @@ def test_a_row_that_cannot_be_is_refused_and_leaves_the_map_as_it_was(log):
         ("add_odometry", (3.0, np.nan, 0.0), "finite"),
         ("add_sighting", (1.5, "post", 1.0, 0.0), "from the latest one on"),
         ("add_sighting", (3.0, "post", np.inf, 0.0), "finite"),
-        ("add_sighting", (3.0, " ", 1.0, 0.0), "expected a name"),
+        ("add_sighting", (3.0, " ", 1.0, 0.0), "expected an id"),
+        ("add_sighting", (3.0, "two\nlines", 1.0, 0.0), "expected an id"),
+        ("add_odometry", (3.0, 1e300, 0.0), "velocities of a robot"),
+        ("add_odometry", (3.0, 0.5, -2e3), "velocities of a robot"),
+        ("add_sighting", (3.0, "post", 0.0, 0.0), "expected a distance"),
+        ("add_sighting", (3.0, "post", 1e300, 0.0), "expected a distance"),
+        ("add_sighting", (3.0, "post", 1.0, 1e300), "expected a distance"),
     ):
         with pytest.raises(DataError, match=said) as told:
             getattr(slam, name)(*(np.float64(a) if isinstance(a, float) else a for a in args))
         assert "np." not in str(told.value)
     assert np.array_equal(slam.pose.pose, before)
-    with pytest.raises(UsageError, match="whole number"):
-        mapweave.LandmarkSlam(robot="left")
+    for name in ("left", "", "-1"):
+        for slam_of in (mapweave.LandmarkSlam, mapweave.LaserSlam):
+            with pytest.raises(UsageError, match="whole number"):
+                slam_of(robot=name)
+    for wrong, said in (
+        (lambda: mapweave.LandmarkSlam(robot=1), "robot: expected text, found int"),
+        (lambda: slam.add_sighting(3.0, 7, 1.0, 0.0), "landmark: expected text, found int"),
+        (lambda: slam.add_sighting(3.0, "post", np.ones(1), 0.0), "distance: expected a number, found ndarray"),
+        (lambda: slam.add_odometry(None, 0.5, 0.0), "t: expected a number, found None"),
+        (lambda: mapweave.LaserSlam().add_scan(None, [1.0, 1.0], [0.0, 0.1]), "t: expected a number, found None"),
+    ):
+        with pytest.raises(UsageError, match=said):
+            wrong()
+
+
+def test_a_map_of_which_hardly_a_sighting_is_left_is_not_good():
+    slam = mapweave.LandmarkSlam()
+    for k in range(50):  # both turn and come along with the robot, as no landmark does
+        slam.add_odometry(0.1 * k, 0.5, 0.1)
+        slam.add_sighting(0.1 * k, "a", 2.0, 0.1)
+        slam.add_sighting(0.1 * k, "b", 3.0, -0.5)
+    result = slam.result()
+    assert result.maps[0].landmarks.ids == ()
+    assert {f.code for f in result.findings} == {"sightings-doubted"}
+    assert result.verdict == "doubtful"
 
 
 def test_what_one_robot_saw_of_others_stays_in_its_local_map(log, tmp_path):

@@ -177,6 +177,7 @@ class Localizer:
     ([6, 0], True)
     """
 
+    @checked_arguments
     def __init__(
         self,
         map: Path | str | LaserResult,  # noqa: A002  (as of `localize`)
@@ -195,6 +196,7 @@ class Localizer:
         self._follower = self._begun(GEOMETRY if calibration is None else Feature(feature, calibration))
         self._stream = LaserStream()
 
+    @checked_arguments
     @one_blas_thread()
     def add_scan(
         self,

@@ -15,9 +15,11 @@ from ..core.se2 import wrap_angle
 from ..core.workers import Progress, no_progress, one_blas_thread
 from ..io.laser_state import LaserState
 from ..io.laser_stream import NOWHERE, LaserStream, Numbers
+from ..io.table import A_NAME, is_name
 from ..landmarks import ekf_slam
 from ..landmarks.ekf_slam import EkfSlamState
 from ..landmarks.landmark_map import LandmarkMap
+from ..landmarks.mapping import MOST_BEARING, MOST_RANGE, MOST_SPEED, MOST_TURN
 from ..laser.beam import IntensityCalibration
 from ..laser.config import GEOMETRY, Feature
 from ..laser.laser_map import GridMap
@@ -31,6 +33,13 @@ from .map_landmarks import LandmarkMapConfig, map_tables
 from .map_laser import LaserMapConfig, next_robots, result_of, resumed, state_before
 from .map_options import MapOptions
 from .team import TeamResult
+
+
+def _numbered(robot: str) -> str:
+    """The key of `robot`. Raises UsageError where it is no whole number."""
+    if not robot_key(robot).isdecimal():
+        raise UsageError(f"robot: expected a whole number, found {robot!r}")
+    return robot_key(robot)
 
 
 class LandmarkSlam:
@@ -63,36 +72,43 @@ class LandmarkSlam:
     ('post',)
     """
 
+    @checked_arguments
     def __init__(self, config: AnyConfig | None = None, *, robot: str = "1") -> None:
         self.cfg = load(LandmarkMapConfig, config)
-        if not robot_key(robot).isdecimal():
-            raise UsageError(f"robot: expected a whole number, found {robot!r}")
-        self.robot = robot_name(robot)
+        self.robot = robot_name(_numbered(robot))
         self._runner = Runner(ekf_slam, self.cfg.ekf, 0)
         self._latest = -np.inf
         self._driven: list[tuple[float, float, float]] = []
         self._seen: list[tuple[float, str, float, float]] = []
 
+    @checked_arguments
     def add_odometry(self, t: float, v: float, w: float) -> PoseEstimate:
         """The pose at `t` [s] and its covariance, before the velocities take effect.
 
         v [m/s] ahead and w [rad/s] to the left hold from `t` until the next row. Raises DataError for a row that is not
-        finite or older than the latest.
+        finite, beyond any robot, or older than the latest.
         """
         self._check(t, v, w)
+        if abs(v) > MOST_SPEED or abs(w) > MOST_TURN:
+            raise DataError(f"row at {t} s: expected velocities of a robot, found ({v}, {w})")
         self._push(t, Odometry(np.array([t], float), np.array([v], float), np.array([w], float)))
         self._driven.append((float(t), float(v), float(w)))
         return self.pose
 
+    @checked_arguments
     def add_sighting(self, t: float, landmark: str, distance: float, bearing: float) -> PoseEstimate:
         """The pose at `t` [s] and its covariance, after `landmark` was seen at `distance` [m] under `bearing` [rad].
 
         bearing: counter-clockwise from ahead; a landmark called `robotK` is another robot, kept for merging. Raises
-        DataError for a row that is not finite, has no name, or is older than the latest.
+        DataError for a row that is not finite, has no name, is beyond any sensor, or is older than the latest.
         """
         self._check(t, distance, bearing)
-        if not landmark.strip():
-            raise DataError(f"sighting at {t} s: expected a name, found none")
+        if not is_name(landmark.strip()):
+            raise DataError(f"sighting at {t} s: expected {A_NAME}, found {landmark[:40]!r}")
+        if not 0 < distance <= MOST_RANGE or abs(bearing) > MOST_BEARING:
+            raise DataError(
+                f"sighting at {t} s: expected a distance [m] and a bearing [rad], found ({distance}, {bearing})"
+            )
         what = Sightings((landmark,), np.array([distance], float), np.array([bearing], float))
         self._push(t, what)
         self._seen.append((float(t), landmark, float(distance), float(bearing)))
@@ -130,6 +146,7 @@ class LandmarkSlam:
             odometry = {"t": stamps, "robot": [own] * len(stamps), "v": v, "w": w}
         return map_tables(odometry, sightings, MapOptions(), self.cfg)
 
+    @checked_arguments
     def save(self, folder: Path | str, *, force: bool = False) -> TeamResult:
         """`result`, written to a folder as `map` writes it: `fuse`, `evaluate` and `view` read it.
 
@@ -218,7 +235,7 @@ class LaserSlam:
             raise ConfigError(f"method: expected graph for scans that come one by one, found {cfg.method}")
         self._resume = None if resume is None else Path(resume)
         self._before = LaserState((), {}) if self._resume is None else state_before(self._resume)
-        robot = next_robots([there.robot for there in self._before.maps], 1)[0] if robot is None else robot
+        robot = next_robots([there.robot for there in self._before.maps], 1)[0] if robot is None else _numbered(robot)
         self.cfg, self.robot, self.seed = cfg, robot, seed
         self._calibrated = calibration is not None and cfg.feature != "none"
         feature = Feature("normalised", calibration) if self._calibrated else GEOMETRY
@@ -230,6 +247,7 @@ class LaserSlam:
         """How many scans came."""
         return len(self._stream)
 
+    @checked_arguments
     @one_blas_thread()
     def add_scan(
         self,
@@ -327,6 +345,7 @@ class LaserSlam:
         maps, starts = there.maps([local_map]), self._before.starts
         return woven_result(maps, self.cfg, seed=self.seed, starts=starts, notes=there.notes, on_progress=on_progress)
 
+    @checked_arguments
     def save(self, folder: Path | str, *, force: bool = False) -> LaserResult:
         """`result`, written to a folder as `map` writes it: `localize`, `fuse`, `evaluate` and `view` read it.
 

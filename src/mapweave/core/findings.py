@@ -584,7 +584,7 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
         ),
         "sightings-doubted": FindingKind(
             "doubtful",
-            "{value:.0f} of {all:.0f} sightings had to be down-weighted",
+            "{value:.0f} of {all:.0f} sightings do not fit together with the others",
             "What the robot saw does not fit together, and its map may be wrong.",
             "Look at its labels and its odometry.",
         ),

@@ -51,6 +51,7 @@ BLIND_TURN = 0.5  # [rad/s] and how fast it may have turned there,
 BLIND_ENOUGH = 1  # and that must agree there
 TURN_SCALES = (0.65, 1.3, 1.6)  # of the expected one, one of which wheels may have instead
 SIFT_FEW = 6  # sightings in a row left of a landmark, below which it may be another one that was misread
+MOSTLY = 0.9  # share of all left out, from which what is left is not believed either
 SIFT_DIRTY = 0.08  # share of the sightings judged that are contradicted, from which the log is sifted,
 SIFT_GROSS = 2.5  # or contradicted by so many times the limits, as wrong labels are and noise is not,
 DIRTY_GROSS = 0.005  # and that share,
@@ -295,7 +296,8 @@ def sifted(log: LandmarkLog, ekf: EkfSlamConfig) -> LandmarkLog:
     keep = support.borne_out()
     keep &= ~_misread(log.sightings, keep, log.odometry, ekf)
     gone = int((~keep).sum())
-    found = Finding("sightings-sifted", log.robot, value={"value": gone, "all": len(keep)}, action="left out")
+    code = "sightings-sifted" if gone <= MOSTLY * len(keep) else "sightings-doubted"
+    found = Finding(code, log.robot, value={"value": gone, "all": len(keep)}, action="left out")
     return replace(
         log,
         sightings=log.sightings.select(keep),
