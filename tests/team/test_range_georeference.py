@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import mapweave
 from mapweave.core import se2
 from mapweave.core.fixes import enu_of, place_of
 from mapweave.core.records import Track
 from mapweave.mapping import georeference
+from mapweave.report.scene import Scene, fix_points
 from mapweave.sim.laser import DATUM, simulated_fixes
 
 from ..ranges.worlds import LINE, SQUARE, driven, ranged
@@ -182,3 +184,22 @@ def test_where_beacons_are_surveyed_fixes_are_not_used(team):
     laid = Ranged.of(log, truth).laid(receivers(truth, 0.1, 1))
     assert codes(laid) == [("fixes-unused", "1"), ("fixes-unused", "2")]
     assert laid.georeference is None
+
+
+def test_fixes_stand_on_the_page_where_they_lie_in_the_map(team):
+    made, fixes = team
+    laid = made.laid(fixes)
+    scene = Scene("map")
+    fix_points(scene, laid.georeference)
+    held = {one["layer"]: np.column_stack([one["x"], one["y"]]) for one in scene.data()["points"]}
+    assert sum(map(len, held.values())) == len(laid.georeference.z)
+    assert len(held["fixes"]) == laid.georeference.used.sum()
+    g = laid.georeference
+    ways = np.concatenate([se2.act(se2.inverse(g.T_world_map), w.pose[:, :2]) for w in g.tracks.values()])
+    assert np.median([np.hypot(*(ways - at).T).min() for at in held["fixes"]]) < 2 * NOISE
+
+
+def test_the_page_of_a_map_of_ranges_shows_fixes(tmp_path):
+    mapweave.simulate_team(tmp_path / "team", ranges=True, fixes=NOISE, lasers=2, cameras=0, bearings=0, minutes=0.5)
+    mapweave.map(tmp_path / "team" / "ranges.mcap", tmp_path / "out")
+    assert '"layer":"fixes"' in (tmp_path / "out" / "report.html").read_text().replace(": ", ":")

@@ -141,7 +141,9 @@ class RangeResult(ResultBase):
     def _story(self) -> RangeStory:
         scores = () if self.evaluation is None else tuple(headline_scores(self.evaluation.as_json()))
         told = () if self.evaluation is None else tuple(self.evaluation.lines())
-        return RangeStory(self.source, self.maps, self.network, self.estimate, self.findings, scores, told)
+        return RangeStory(
+            self.source, self.maps, self.network, self.estimate, self.findings, scores, self._placed, told
+        )
 
     def write_into(self, folder: Path) -> None:
         """Trajectories, beacons and ranges with their residuals, the solved graph, report and, last, `metrics.json`."""

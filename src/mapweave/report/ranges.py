@@ -8,11 +8,12 @@ import numpy as np
 
 from ..core.findings import Finding
 from ..core.names import robot_key
+from ..mapping.woven_map import Georeference
 from ..ranges.estimate import RangeEstimate
 from ..ranges.network import RangeNetwork
 from ..team.team_map import TeamMap
 from .html import Page, told_list
-from .scene import Scene, landmark_points
+from .scene import Scene, fix_points, landmark_points
 from .style import MUTED, Target, colour, figure
 
 
@@ -26,6 +27,7 @@ class RangeStory:
     estimate: RangeEstimate
     findings: Sequence[Finding]
     scores: Sequence[tuple[str, str]] = ()
+    placed: Sequence[Georeference | None] = ()  # of each map where fixes lay it
     told: Sequence[str] = ()
 
     def tint(self, robot: str) -> str:
@@ -66,7 +68,11 @@ def write_range_report(folder: Path, story: RangeStory) -> None:
     for k, team in enumerate(story.maps):
         page.section("Map" if k == 0 else f"Component {k + 1}: {told_list([robot_key(r) for r in team.robots])}")
         png = folder / "figures" / ("map.png" if k == 0 else f"component_{k + 1}.png")
-        page.scene(range_scene(story, team), "Where robots drove; beacons and ends with their 95 % ellipses.", png)
+        page.scene(
+            range_scene(story, team),
+            "Where robots drove; beacons and ends with their 95 % ellipses, and position fixes.",
+            png,
+        )
         if k == 0:
             page.warnings([found.told for found in story.findings])
     for line in story.told:
@@ -92,4 +98,7 @@ def range_scene(story: RangeStory, team: TeamMap) -> Scene:
     for robot in team.robots:
         scene.track(f"robot {robot_key(robot)}", f"robot {robot_key(robot)}", team.tracks[robot], story.tint(robot))
     landmark_points(scene, team, team.landmarks)
+    for one, placed in zip(story.maps, story.placed, strict=False):
+        if one is team and placed is not None:
+            fix_points(scene, placed)
     return scene

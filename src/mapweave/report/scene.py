@@ -22,15 +22,18 @@ from ..core.findings import Finding
 from ..core.gaussian import ellipse
 from ..core.names import robot_key
 from ..core.records import Track
-from ..core.se2 import interpolate
+from ..core.se2 import act, interpolate, inverse
 from ..core.viewport import viewport
 from ..landmarks.landmark_map import LandmarkMap
+from ..mapping.woven_map import Georeference
 from ..team.team_map import TeamMap
 from .style import (
     LANDMARK,
+    MUTED,
     SEQUENTIAL,
     Target,
     as_map,
+    colour,
     draw_ellipses,
     draw_lines,
     figure,
@@ -48,6 +51,7 @@ MOST_POSES = 800  # of a trajectory: enough to draw it and to point at
 MOST_OF_ALL = 40_000  # poses of all trajectories of a page, and lines of a layer: about 3 MB of either
 MOST_CELLS = 1600  # along the longer side of a grid: finer cells are joined, a wall stays a wall
 MOST_CORNERS = 4000  # of a path that nobody drives
+MOST_FIXES = 2000  # of a layer of position fixes, evenly apart
 FOUND = "#B25400"  # of findings, seen on white and on black
 KINDS = (0, 127, 255)  # grey of what is unknown, free and wall in a grid's picture, which the page colours
 LEVELS = 254  # steps of time in which cells become known; one more is never
@@ -341,6 +345,27 @@ def landmark_points(scene: Scene, team: TeamMap, landmarks: LandmarkMap) -> None
         texts.append(f"landmark {name}\n({x:.3f}, {y:.3f}) m\nsd {sd:.1f} cm an axis{seen}")
     since = [team.first_seen.get(name) for name in landmarks.ids]
     scene.points("landmarks", landmarks.ids, landmarks.mean, LANDMARK, texts, blocks, since=since)
+
+
+def fix_points(scene: Scene, g: Georeference) -> None:
+    """The layers of position fixes, those used and those that were not, where they lie in the map."""
+    at = np.asarray(act(inverse(g.T_world_map), g.z))
+    for used, layer in ((True, "fixes"), (False, "fixes not used")):
+        rows = np.flatnonzero(g.used == used)
+        rows = rows[_spread(len(rows), MOST_FIXES)] if len(rows) else rows
+        off = np.hypot(*g.residual[rows].T)
+        whose = [robot_key(g.robots[k]) for k in g.owner[rows].tolist()]
+        texts = [f"fix of robot {r}\n{d:.2f} m off" for r, d in zip(whose, off.tolist(), strict=True)]
+        scene.points(
+            layer,
+            whose,
+            at[rows],
+            MUTED if used else colour(5),
+            texts,
+            named=False,
+            stray=not used,
+            since=g.t[rows].tolist(),
+        )
 
 
 @cache

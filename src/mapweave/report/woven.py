@@ -20,7 +20,7 @@ from ..mapping.merge import Merge
 from ..mapping.woven_map import WovenMap
 from .html import Page, told_list
 from .laser_figures import SHADES, draw_intensity, laser_scene
-from .scene import Scene
+from .scene import Scene, fix_points
 from .style import Target, as_map, colour, figure
 
 ROBOTS = (0, 1, 3, 4, 6, 2, 5)  # places in the palette, those of closures last
@@ -39,7 +39,10 @@ def component_scene(
     colours = {robot: robot_colour(places[robot]) for robot in woven.robots}
     seen = [robot for robot in woven.robots if robot in truth]
     others = {f"truth of {robot_name(r)}": t for r, t in zip(seen, truths_in(woven, truth), strict=False)}
-    return laser_scene(woven.grid, woven.tracks, colours, woven.closures, others, findings)
+    scene = laser_scene(woven.grid, woven.tracks, colours, woven.closures, others, findings)
+    if woven.georeference is not None:
+        fix_points(scene, woven.georeference)
+    return scene
 
 
 def draw_pair(
