@@ -26,7 +26,8 @@ def configuration(job: str, *, laser: bool = False) -> str:
     job
         map, fuse, locate, localize or explore.
     laser
-        The keys for laser logs (map, fuse) or laser worlds (explore); `localize` has no others.
+        The keys for laser logs (map, fuse) or laser worlds (explore); `localize` has no others. Of `[laser]` it prints
+        what it reads; a file with all that `map` reads there is taken, too.
 
     Raises
     ------

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
@@ -47,8 +47,15 @@ NEAR, NEAR_ANGLE = 0.5, np.radians(10.0)  # a start that errs by less than this,
 
 @configuration
 class LocalizeJobConfig:
-    """Settings of `localize`: the table `[laser]`, as of `map`, and `[localize]`."""
+    """Settings of `localize`: the table `[laser]`, which may be that of `map` as it is, and `[localize]`."""
 
+    READ: ClassVar[tuple[str, ...]] = (
+        "laser.particles",
+        "laser.beam.",
+        "laser.cells.alpha",
+        "laser.front_end.",
+        "localize.",
+    )
     laser: LaserConfig = LaserConfig()
     localize: LocaliseConfig = LocaliseConfig()
 

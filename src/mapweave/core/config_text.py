@@ -74,11 +74,15 @@ def own_meanings(source: str) -> dict[str, str]:
 def as_toml(cfg: object, head: str = "") -> str:
     """`cfg` as TOML with a comment a key; read again it gives an equal configuration.
 
-    A key that is not set stands as a comment, since TOML has no word for that.
+    A key that is not set stands as a comment, since TOML has no word for that. Where a job reads some keys of a table
+    alone, its class names them in `READ`, dotted, tables with a dot at the end.
     """
+    read = getattr(cfg, "READ", ("",))
     out = [f"# {line}" for line in head.splitlines()]
     table: tuple[str, ...] = ()
     for key in keys(cfg):
+        if not key.dotted.startswith(read):
+            continue
         if key.path != table:
             out += ["", f"[{'.'.join(key.path)}]"]
             table = key.path
