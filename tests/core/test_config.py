@@ -69,3 +69,42 @@ def test_keys_that_became_constants_are_named_in_one_message(tmp_path):
     assert "laser.filter.wrong: unknown key" in str(told.value)
     assert "constants since 0.2, to be left out: laser.filter.refine_kappa, laser.jump" in str(told.value)
     assert str(told.value).count("since 0.2") == 1
+
+
+@pytest.mark.parametrize(
+    ("cls", "said", "told"),
+    [
+        (LaserMapConfig, {"graph": {"hypotheses": -1}}, r"laser\.graph\.hypotheses: expected 0 or more, found -1"),
+        (LaserMapConfig, {"graph": {"joint": {"widths": [0.1, -1.0]}}}, r"joint\.widths: expected 0 or more"),
+        (LandmarkMapConfig, {"lag": -0.1}, r"ekf\.lag: expected 0 or more, found -0\.1"),
+        (LandmarkMapConfig, {"far": 0.0}, r"ekf\.far: expected a number above 0, found 0"),
+    ],
+)
+def test_a_number_below_zero_or_one_that_divides_and_is_zero_is_refused_by_name(cls, said, told):
+    with pytest.raises(ConfigError, match=told):
+        load(cls, {"laser" if cls is LaserMapConfig else "ekf": said})
+
+
+def test_signed_numbers_and_zeros_that_mean_none_are_taken():
+    assert load(LandmarkMapConfig, {"ekf": {"bearing_bias": -0.01}}).ekf.bearing_bias == -0.01
+    assert load(LaserMapConfig, {"laser": {"graph": {"hypotheses": 0}}}).laser.graph.hypotheses == 0
+
+
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        ({"resolution": 0.0}, "resolution: expected a number above 0"),
+        ({"resolution": 5.0}, r"resolution: expected at most 2 \[m\]"),
+        ({"front_end": {"sd_xy": 0.0}}, r"front_end\.sd_xy: expected a number above 0"),
+        ({"graph": {"joint": {"widths": []}}}, r"graph\.joint\.widths: expected numbers above 0"),
+        ({"merge": {"sure": 2.0}}, r"merge\.sure: expected a probability"),
+    ],
+)
+def test_settings_of_laser_maps_that_cannot_be_are_refused_by_name(said, told):
+    with pytest.raises(ConfigError, match=told):
+        load(LaserMapConfig, {"laser": said}).laser.check()
+
+
+def test_what_stands_in_place_of_a_table_is_told_whatever_options_are_given():
+    with pytest.raises(ConfigError, match="laser"):
+        load(LaserMapConfig, {"laser": 3}, {"laser": {"particles": None}})

@@ -1,8 +1,11 @@
 """Free, occupied and unknown cells."""
 
 import numpy as np
+import pytest
 
+from mapweave.core.errors import DataError
 from mapweave.laser.occupancy import FREE, OCCUPIED, UNKNOWN, Occupancy, from_counts, without_gaps
+from mapweave.laser.occupancy_mapper import OccupancyMapper, Returns
 
 
 def test_a_cell_is_occupied_when_enough_of_its_beams_ended_there():
@@ -35,3 +38,9 @@ def test_gaps_between_beams_close_and_neither_walls_nor_what_lies_behind_them_be
     wide = state.copy()
     wide[:, 2:6] = UNKNOWN
     assert (without_gaps(Occupancy(0.05, np.zeros(2), wide)).state[:, 2:6] == UNKNOWN).all()
+
+
+def test_a_map_of_more_cells_than_any_memory_holds_is_refused_with_its_size():
+    scan = Returns(np.array([[5.0, 3.0], [-5.0, 2.0]]), np.zeros((0, 2)), np.zeros(2))
+    with pytest.raises(DataError, match=r"a map of 1e\+10 x 3e\+09 cells of 1e-09 m"):
+        OccupancyMapper(1e-9).update([scan], np.zeros((1, 3)))

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
+from typing import ClassVar
 
 import numpy as np
 
@@ -179,6 +180,11 @@ def closed(run: OnlineRun, start: TeamMap, done: Smoothed, seconds: float) -> On
 class CameraTeamConfig:
     """Settings of `map` for robots with cameras: each field is the table of that name in the configuration file."""
 
+    POSITIVE: ClassVar[tuple[str, ...]] = (  # numbers that divide
+        *("ekf.far", "ekf.speed_scale", "ekf.turn_scale", "ekf.bearing", "placing.bearing"),
+        *("smoothing.camera.bearing", "smoothing.camera.robot_bearing", "smoothing.longest_step"),
+        *(f"smoothing.calibration.{name}" for name in ("speed_scale", "turn_scale", "range_scale")),
+    )
     agreement: AgreementConfig = field(default_factory=AgreementConfig)
     ekf: EkfSlamConfig = field(default_factory=EkfSlamConfig)
     fuse: FuseConfig = field(default_factory=FuseConfig)

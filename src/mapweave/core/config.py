@@ -2,11 +2,12 @@
 
 A config stands beside the code that reads it: ``@config class IcpConfig: max_correspondence: float = 0.5  # [m]``. A
 key that has moved is named in the `MOVED` of the outermost class (old: new, dotted); a file with the old is told so.
+Numbers that must be above 0 are named in its `POSITIVE`, dotted.
 One that became a constant is named in `fixed_keys.toml`, and a file that has it is told to leave it out.
 """
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from os import PathLike
@@ -68,7 +69,24 @@ def load(cls: type[T], settings: object, overrides: dict[str, Any] | None = None
     given = _merge({} if settings is None else _tables(cls, settings), overrides or {})
     if settings is None and not _says(given):
         return cls()
-    return build(cls, _upon(cls(), given), str(settings) if isinstance(settings, str | PathLike) else "options")
+    where = str(settings) if isinstance(settings, str | PathLike) else "options"
+    built = build(cls, _upon(cls(), given), where)
+    if negative := list(_negative(cls(), built)):
+        raise ConfigError(f"{where}: {'; '.join(negative)}")
+    expect_positive(built, where, *getattr(cls, "POSITIVE", ()))
+    return built
+
+
+def _negative(default: Any, given: Any, place: str = "") -> Iterator[str]:
+    """What is wrong with numbers below 0: no setting whose default is above 0 has a meaning there."""
+    if is_dataclass(default) and type(default) is type(given):
+        for f in fields(default):
+            yield from _negative(getattr(default, f.name), getattr(given, f.name), f"{place}.{f.name}".lstrip("."))
+        return
+    usual, found = (v if isinstance(v, tuple) else (v,) for v in (default, given))
+    numbers = [v for v in (*usual, *found) if isinstance(v, int | float) and not isinstance(v, bool)]
+    if len(numbers) == len(usual) + len(found) and all(v > 0 for v in usual) and any(v < 0 for v in found):
+        yield f"{place}: expected 0 or more, found {given}"
 
 
 def _tables(cls: type, settings: object) -> dict[str, Any]:
@@ -181,8 +199,8 @@ def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
     out = dict(below)
     for key, value in above.items():
         if isinstance(value, dict):
-            inner = out.get(key)
-            out[key] = _merge(inner if isinstance(inner, dict) else {}, value)
+            inner = out.get(key, {})
+            out[key] = _merge(inner, value) if isinstance(inner, dict) else inner  # no table: told where it is built
         elif value is not None:
             out[key] = value
     return out

@@ -6,7 +6,7 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Float
 
-from ..core.config import config
+from ..core.config import config, expect_positive
 from ..core.errors import ConfigError
 from ..core.findings import Finding
 from ..core.laser_log import LEAST_RETURNS
@@ -29,6 +29,11 @@ FILTER_SIGMA = 0.05  # [m] sd of each return in the weights of particles
 FILTER_SHARED = 0.5  # a beam counts when matched in this share of the particles
 PAPER_SIGMA2 = 7e-4  # [m^2] sigma_z of the paper's likelihood
 
+COARSEST = 2.0  # [m] cell of a map in which a robot could still drive
+POSITIVE = (
+    "gate", "resolution", "beam.greatest_range", "cells.size", "icp.gate", "icp.least_gate",
+    "front_end.keyframes", "front_end.neff", "front_end.sd_xy", "front_end.sd_turn", "filter.neff", "filter.bare_neff",
+)  # settings that divide  # fmt: skip
 METHODS = ("particle", "graph", "gated", "icp")
 LIKELIHOODS = ("matched", "paper")
 
@@ -97,6 +102,9 @@ class LaserTrackingConfig:
             raise ConfigError(f"particles: expected at least 1, found {self.particles}")
         if not 0.0 <= self.resample <= 1.0:
             raise ConfigError(f"resample: expected a share from 0 to 1, found {self.resample}")
+        expect_positive(self, "laser", *POSITIVE)
+        if self.resolution > COARSEST:
+            raise ConfigError(f"resolution: expected at most {COARSEST:g} [m], found {self.resolution:g}")
 
 
 PAPER_FILTER = FilterConfig(

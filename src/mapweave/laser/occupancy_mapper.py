@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 
 from ..core import se2
 from ..core.config import config
+from ..core.errors import DataError
 from ..kernels.laser.scan_laying import UNIT, WEIGHT, CellCounts, lay_scan
 from .beam import Beams, insertion_weight
 from .laser_map import GridMap
@@ -18,6 +19,7 @@ LAYING_CLEAR = 4.0  # so many beams through for each far return and a cell is fr
 LAYING_SHIFT = 0.5  # [cells] that a scan's pose must move before it is laid anew, or
 LAYING_TURN = float(np.radians(0.5))  # [rad] that it must turn
 
+MOST_CELLS = 1e9  # of a map, which takes some thirty bytes each
 MARGIN = 80  # cells the arrays grow by beyond what is needed
 EDGE = 2  # cells round the map that is handed over
 
@@ -184,6 +186,10 @@ class OccupancyMapper:
             high = np.where(high > upper, high + MARGIN, upper)
         dx, dy = (self.corner - low if self.hits.size else np.zeros(2, dtype=np.int64)).tolist()
         width, height = (high - low).tolist()
+        if width * height > MOST_CELLS:
+            raise DataError(
+                f"a map of {width:.3g} x {height:.3g} cells of {self.resolution:g} m: expected at most {MOST_CELLS:g}"
+            )
         for name in ("hits", "far", "passes", "sums"):
             old = getattr(self, name)
             new = np.zeros((height, width, *old.shape[2:]), old.dtype)

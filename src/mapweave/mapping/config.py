@@ -1,6 +1,7 @@
 """Everything that can be set about laser maps: of logs, and of a team that explores."""
 
-from ..core.config import config
+from ..core.config import config, expect_positive
+from ..core.errors import ConfigError
 from ..laser.beam import BeamConfig
 from ..laser.config import LaserTrackingConfig
 from ..laser.joint_pass import JointPassConfig
@@ -36,6 +37,13 @@ class LaserConfig(LaserTrackingConfig):
 
     graph: GraphConfig = GraphConfig()
     merge: MergeConfig = MergeConfig()
+
+    def check(self) -> None:
+        """As of one log's trackers, and of what weaves their maps."""
+        LaserTrackingConfig.check(self)
+        expect_positive(self, "laser", "graph.unsure", "graph.joint.widths", "merge.start_sd", "merge.start_turn_sd")
+        if not 0.0 < self.merge.sure <= 1.0:
+            raise ConfigError(f"merge.sure: expected a probability above 0 and up to 1, found {self.merge.sure}")
 
 
 ALL_ROUND = FrontEndConfig(
