@@ -5,6 +5,8 @@ import shutil
 import numpy as np
 import pytest
 
+from mapweave.api.live import _final
+from mapweave.api.map_options import MapOptions
 from mapweave.core.errors import DataError, UsageError
 from mapweave.live.door import decode
 from mapweave.live.inbox import AGAIN, ANSWER, PATIENCE, Inbox
@@ -267,3 +269,14 @@ def test_a_store_without_checksums_is_read_and_has_them_from_now_on(tmp_path):
     with Store(path, OWNER) as store:
         assert store.get("r1", 0, 9) == [(0, b"x")]
         assert "was damaged: 1 messages could be read" in store.damage
+
+
+@pytest.mark.slow
+def test_a_gap_in_what_a_robot_told_is_told_in_the_result(store):
+    inbox, told = Inbox(store), []
+    for k, log in enumerate(team(), 1):
+        every = payloads(log, f"r{k}", f"run{k}")
+        hear(inbox, [*every[:-3], *every[-2:]] if k == 2 else every, f"r{k}")
+    _final(inbox, MapOptions(), told.append)
+    (said,) = told
+    assert said.startswith(f"r2: of {len(every)} messages 1 are missing")

@@ -444,6 +444,10 @@ def _with_findings(result: LiveResult, texts: Sequence[str]) -> LiveResult:
 
 def _final(inbox: Inbox, options: MapOptions, finding: Say) -> LiveResult:
     """The map of all that was heard up to each robot's first gap or doubt, without robots that it fails for."""
+    for name, x in sorted(inbox.ledgers.items()):
+        if not x.complete and (x.missing > 0 or x.held):
+            lost = max(x.missing, 0)
+            finding(f"{name}: of {x.last + 1} messages {lost} are missing: what it told is used up to the first gap")
     called = {x.record.header.log_robot: name for name, x in inbox.ledgers.items() if x.record is not None}
     logs = {log.robot: log for log in map(inbox.log, inbox.ledgers) if log is not None}
     names = sorted(logs, key=in_order)
