@@ -160,6 +160,7 @@ def test_results_are_fused_as_it_is_said(made, logs, tmp_path):
         ({"pairs": [{"a": "1", "b": "2", "decision": "apart", "why": ""}]}, "unknown key 'why'"),
         ({"pairs": [{"a": "1", "b": "2", "decision": "apart", "pose": [1, 2]}]}, "pose: expected x, y, theta"),
         ({"pairs": [{"a": "1", "b": "2", "decision": "apart", "pose": [1, 2, float("nan")]}]}, "pose: expected x, y"),
+        ({"pairs": [{"a": "1", "b": "2", "decision": "apart", "pose": [0, 1e300, 0]}]}, "pose: expected x, y"),
         (
             {"pairs": [{"a": "1", "b": "2", "decision": "apart"}, {"a": "2", "b": "1", "decision": "together"}]},
             "two decisions on one pair: apart and together",
@@ -191,6 +192,12 @@ def test_a_file_of_another_result_and_rows_of_nobody_are_refused(made, logs, tmp
         mapweave.map(logs[:1], decisions={"places": [row]})
     with pytest.raises(ReaderError, match="there is no robot 9 among 1"):
         mapweave.map(logs[:1], decisions={"pairs": [{"a": "1", "b": "9", "decision": "apart"}]})
+    t = float(made[0].maps[0].graph.t[5])
+    row = {"robot_a": "1", "stamp_a": t, "robot_b": "1", "stamp_b": t, "decision": "together", "pose": [0, 0, 0]}
+    with pytest.raises(ReaderError, match="of robot 1 beside itself"):
+        mapweave.map(logs[:1], decisions={"places": [row]})
+    with pytest.raises(ReaderError, match="lies outside the map of robot 1"):
+        mapweave.map(logs[:1], decisions={"masks": [{"robot": "1", "box": [500, 0, 501, 1], "cells": "free"}]})
     (tmp_path / "bad.toml").write_text("[[pairs", encoding="utf-8")
     with pytest.raises(ReaderError, match="expected TOML"):
         mapweave.map(logs, decisions=tmp_path / "bad.toml")

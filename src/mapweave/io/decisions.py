@@ -4,7 +4,7 @@ import math
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from ..core.errors import ReaderError
 from ..laser.laser_map import LaserMap
@@ -134,6 +134,7 @@ def decisions_of(held: Mapping[str, Any], path: object = "decisions") -> Decisio
     return Decisions(dict(logs), pairs, places, masks)
 
 
+LARGEST = 1e6  # [m] of a pose or a rectangle
 MOST = 10  # mistakes that are told at once
 
 
@@ -170,7 +171,8 @@ def _mistake(name: str, value: object, kind: type) -> str:
     if kind is list:
         told = "x0, y0, x1, y1" if name == "box" else "x, y, theta"
         many = told.count(",") + 1
-        numbers = isinstance(value, list) and len(value) == many and all(not _mistake(name, v, float) for v in value)
+        right = isinstance(value, list) and len(value) == many and not any(_mistake(name, v, float) for v in value)
+        numbers = right and all(abs(v) < LARGEST for v in cast("list[float]", value))
         return "" if numbers else f"{name}: expected {told}, found {value!r:.40}"
     if not isinstance(value, str):
         return f"{name}: expected a text, found {value!r:.40}"
@@ -192,11 +194,27 @@ def expect_of(decisions: Decisions, maps: Sequence[LaserMap], path: object) -> N
     for robot in (*named, *(mask.robot for mask in decisions.masks)):
         if robot not in there:
             raise ReaderError(path, f"there is no robot {robot} among {', '.join(there)}")
+    for mask in decisions.masks:
+        left, right, low, high = there[mask.robot].grid.extent
+        x, y = sorted(mask.box[::2]), sorted(mask.box[1::2])
+        if x[1] < left or x[0] > right or y[1] < low or y[0] > high:
+            raise ReaderError(path, f"masks: {list(mask.box)} lies outside the map of robot {mask.robot}")
     for place in edited:
-        for robot, t in ((place.robot_a, place.stamp_a), (place.robot_b, place.stamp_b)):
-            graph = there[robot].graph
-            if graph is None or keyframe_at(graph, t) is None:
-                raise ReaderError(path, f"robot {robot} has no keyframe at {t} s")
+        ends = [(robot, _keyframe(there[robot], t, path)) for robot, t in _ends(place)]
+        if ends[0] == ends[1]:
+            raise ReaderError(path, f"places: the moment {place.stamp_a} s of robot {place.robot_a} beside itself")
+
+
+def _ends(place: PlaceRow) -> tuple[tuple[str, float], tuple[str, float]]:
+    return (place.robot_a, place.stamp_a), (place.robot_b, place.stamp_b)
+
+
+def _keyframe(m: LaserMap, t: float, path: object) -> int:
+    """The keyframe of a map at `t` [s]. Raises ReaderError where there is none."""
+    k = None if m.graph is None else keyframe_at(m.graph, t)
+    if k is None:
+        raise ReaderError(path, f"robot {m.robot} has no keyframe at {t} s")
+    return k
 
 
 def _quoted(text: str) -> str:

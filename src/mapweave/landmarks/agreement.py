@@ -296,8 +296,12 @@ def sifted(log: LandmarkLog, ekf: EkfSlamConfig) -> LandmarkLog:
     keep = support.borne_out()
     keep &= ~_misread(log.sightings, keep, log.odometry, ekf)
     gone = int((~keep).sum())
-    code = "sightings-sifted" if gone <= MOSTLY * len(keep) else "sightings-doubted"
-    found = Finding(code, log.robot, value={"value": gone, "all": len(keep)}, action="left out")
+    value = {"value": gone, "all": len(keep)}
+    found = (
+        Finding("sightings-sifted", log.robot, value=value, action="left out")
+        if gone <= MOSTLY * len(keep)
+        else Finding("sightings-doubted", log.robot, value=value, action="left out")
+    )
     return replace(
         log,
         sightings=log.sightings.select(keep),
