@@ -123,7 +123,9 @@ def test_a_robot_that_is_not_of_the_team_is_no_landmark(team, told, tmp_path):
 
 def test_a_robot_with_two_sensors_is_refused_in_one_line(tmp_path):
     mapweave.simulate_team(tmp_path / "all", lasers=1, cameras=1, bearings=0, minutes=0.3, everything=True, seed=1)
-    with pytest.raises(UsageError, match="robot 1 has a laser log and rows of wheels or sightings"):
+    with pytest.raises(
+        UsageError, match=r"robot 1 has a laser log and rows of wheels or sightings.*give robot1\.mcap alone"
+    ):
         open_source(str(tmp_path / "all"), "r1", None)
 
 

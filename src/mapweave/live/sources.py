@@ -98,7 +98,10 @@ def _of_mixed(path: Path, key: str | None, name: str, source: str, *, asked: boo
         return log
     if len(log):
         what = "a laser log and rows of wheels or sightings"
-        raise UsageError(f"--source {source}: robot {robot_key(log.robot)} has {what}; a live robot has one sensor")
+        raise UsageError(
+            f"--source {source}: robot {robot_key(log.robot)} has {what}; a live robot has one sensor: give "
+            f"{laser.path.name} alone, or a folder without it; `map` takes both"
+        )
     return read_laser(laser.path, log.robot, laser.source)
 
 
