@@ -75,9 +75,8 @@ class TrackEvaluation(EvaluationBase):
         if self.score is None or self.score.T_truth_estimate[2, 2] > 0:
             return ()
         ours, true, _ = paired(self.estimate, self.truth, dense=False)
-        level = (
-            se2.act(se2.align(ours[:, :2], true[:, :2]), ours[:, :2]) - true[:, :2]
-        )  # a straight way turns over freely
+        level = se2.act(se2.align(ours[:, :2], true[:, :2]), ours[:, :2]) - true[:, :2]
+        # a straight way may be turned over for nothing
         if np.sqrt(np.square(level).sum(axis=1).mean()) < max(STILL, 2.0 * self.score.ape_aligned.rmse):
             return ()
         return ("aligned by turning it over: seen from above the trajectory or the truth is mirrored",)

@@ -285,11 +285,9 @@ def copies_found(graphs: Sequence[RobotGraph], maps: Sequence[Mapping[str, Track
         copied = equal >= max(COPY_SCANS, COPY_SHARE * fewer)
         if not copied:
             short, long = sorted((graphs[a], graphs[b]), key=len)
-            tracks = next((m for m in maps if {short.robot, long.robot} <= m.keys()), None)
-            equal, fewer = (
-                0 if tracks is None else _in_one_place(short, tracks[short.robot], tracks[long.robot]),
-                len(short),
-            )
+            together = (m for m in maps if {short.robot, long.robot} <= m.keys())
+            equal = max((_in_one_place(short, m[short.robot], m[long.robot]) for m in together), default=0)
+            fewer = len(short)
             copied = equal >= max(ONE_PLACE_LEAST, ONE_PLACE_SHARE * fewer)
         if copied:
             other = robot_name(graphs[a].robot)
