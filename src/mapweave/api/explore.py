@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-from ..core.config import expect_positive, load
+from ..core.config import load
 from ..core.errors import ConfigError, UsageError
 from ..core.paths import AnyConfig, checked_arguments
 from ..core.workers import Progress, no_progress, one_blas_thread, worker_pool
@@ -224,8 +224,7 @@ def explore_laser(name: str, scenario: LaserScenarioConfig, options: ExploreOpti
         raise UsageError("--association: a laser world has no landmarks whose identities could be known or not")
     planner = "coverage" if options.planner is None else options.planner
     factor = _factor(options.noise)
-    cfg = load(LaserMissionConfig, options.config)
-    expect_positive(cfg, str(options.config), *LASER_POSITIVE)
+    cfg = load(LaserMissionConfig, options.config, positive=LASER_POSITIVE)
     check_magnitudes(cfg, str(options.config))
     _check_sizes(cfg, str(options.config))
     cfg = with_odometry_noise(cfg, factor)
@@ -436,8 +435,7 @@ def _among_landmarks(scenario: str, options: ExploreOptions) -> LandmarkExplorat
     if options.unknown_starts:
         raise UsageError("--unknown-starts: robots among landmarks are told where all start; lasers find each other")
     planner = "paper" if options.planner is None else options.planner
-    cfg = load(ExploreConfig, options.config)
-    expect_positive(cfg, str(options.config), *POSITIVE)
+    cfg = load(ExploreConfig, options.config, positive=POSITIVE)
     check_magnitudes(cfg, str(options.config))
     if not cfg.commands.turns:
         raise ConfigError(f"{options.config}: commands.turns: expected at least one turn rate [rad/s]")

@@ -7,7 +7,7 @@ One that became a constant is named in `fixed_keys.toml`, and a file that has it
 """
 
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from os import PathLike
@@ -59,26 +59,27 @@ def build(cls: type[T], values: dict[str, Any], where: str = "configuration") ->
     raise ConfigError(f"{where}: {'; '.join(dict.fromkeys(problems))}")
 
 
-def load(cls: type[T], settings: object, overrides: dict[str, Any] | None = None) -> T:
+def load(cls: type[T], settings: object, overrides: dict[str, Any] | None = None, positive: Sequence[str] = ()) -> T:
     """`cls` from settings (`AnyConfig`, or None: its defaults) with `overrides` (nested; None means not given) on top.
 
     A table of which some keys are given has for the others what it has in `cls`, be that other than the defaults of the
     table's own type. An object of `cls`, or of one of its tables, says all of its keys. Raises ConfigError that lists
-    every unknown key and bad value.
+    every unknown key and bad value: numbers below 0, and of `positive` and the `POSITIVE` of `cls` those not above it.
     """
     given = _merge({} if settings is None else _tables(cls, settings), overrides or {})
     if settings is None and not _says(given):
         return cls()
     where = str(settings) if isinstance(settings, str | PathLike) else "options"
     built = build(cls, _upon(cls(), given), where)
-    if negative := list(_negative(cls(), built)):
-        raise ConfigError(f"{where}: {'; '.join(negative)}")
-    expect_positive(built, where, *getattr(cls, "POSITIVE", ()))
+    names = (*getattr(cls, "POSITIVE", ()), *positive)
+    problems = [*_not_positive(built, names), *(told for place, told in _negative(cls(), built) if place not in names)]
+    if problems:
+        raise ConfigError(f"{where}: {'; '.join(problems)}")
     return built
 
 
-def _negative(default: Any, given: Any, place: str = "") -> Iterator[str]:
-    """What is wrong with numbers below 0: no setting whose default is above 0 has a meaning there."""
+def _negative(default: Any, given: Any, place: str = "") -> Iterator[tuple[str, str]]:
+    """Where numbers are below 0, and what is wrong with it: no setting whose default is above 0 has a meaning there."""
     if is_dataclass(default) and type(default) is type(given):
         for f in fields(default):
             yield from _negative(getattr(default, f.name), getattr(given, f.name), f"{place}.{f.name}".lstrip("."))
@@ -86,7 +87,7 @@ def _negative(default: Any, given: Any, place: str = "") -> Iterator[str]:
     usual, found = (v if isinstance(v, tuple) else (v,) for v in (default, given))
     numbers = [v for v in (*usual, *found) if isinstance(v, int | float) and not isinstance(v, bool)]
     if len(numbers) == len(usual) + len(found) and all(v > 0 for v in usual) and any(v < 0 for v in found):
-        yield f"{place}: expected 0 or more, found {given}"
+        yield place, f"{place}: expected 0 or more, found {given}"
 
 
 def _tables(cls: type, settings: object) -> dict[str, Any]:
@@ -129,6 +130,11 @@ def _read(path: Path) -> dict[str, Any]:
 
 def expect_positive(cfg: object, where: str, *names: str) -> None:
     """Raises ConfigError that lists all of `names` (dotted fields, numbers or lists of them) that are not above 0."""
+    if problems := _not_positive(cfg, names):
+        raise ConfigError(f"{where}: {'; '.join(problems)}")
+
+
+def _not_positive(cfg: object, names: Sequence[str]) -> list[str]:
     problems = []
     for name in names:
         value: Any = cfg
@@ -139,8 +145,7 @@ def expect_positive(cfg: object, where: str, *names: str) -> None:
             problems.append(
                 f"{name}: expected {'numbers' if isinstance(value, tuple) else 'a number'} above 0, found {value}"
             )
-    if problems:
-        raise ConfigError(f"{where}: {'; '.join(problems)}")
+    return problems
 
 
 def _problem(cls: type, place: str, kind: str, message: str) -> str:

@@ -28,7 +28,11 @@ class Key:
 
 
 def keys(cfg: object, path: tuple[str, ...] = ()) -> Iterator[Key]:
-    """Every key of `cfg`, an instance of a configuration class, those of a table before its inner tables."""
+    """Every key of `cfg`, an instance of a configuration class, those of a table before its inner tables.
+
+    Where a job reads some keys alone, its class names them in `READ`, dotted, tables with a dot at the end.
+    """
+    read = getattr(cfg, "READ", ("",))
     meaning = meanings(type(cfg))
     inner = []
     for field in fields(cfg):  # type: ignore[arg-type]
@@ -38,7 +42,7 @@ def keys(cfg: object, path: tuple[str, ...] = ()) -> Iterator[Key]:
         else:
             yield Key(path, field.name, value, meaning.get(field.name, ""))
     for name, value in inner:
-        yield from keys(value, (*path, name))
+        yield from (key for key in keys(value, (*path, name)) if key.dotted.startswith(read))
 
 
 def meanings(cls: type) -> dict[str, str]:
@@ -74,15 +78,11 @@ def own_meanings(source: str) -> dict[str, str]:
 def as_toml(cfg: object, head: str = "") -> str:
     """`cfg` as TOML with a comment a key; read again it gives an equal configuration.
 
-    A key that is not set stands as a comment, since TOML has no word for that. Where a job reads some keys of a table
-    alone, its class names them in `READ`, dotted, tables with a dot at the end.
+    A key that is not set stands as a comment, since TOML has no word for that.
     """
-    read = getattr(cfg, "READ", ("",))
     out = [f"# {line}" for line in head.splitlines()]
     table: tuple[str, ...] = ()
     for key in keys(cfg):
-        if not key.dotted.startswith(read):
-            continue
         if key.path != table:
             out += ["", f"[{'.'.join(key.path)}]"]
             table = key.path
