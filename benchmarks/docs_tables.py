@@ -144,6 +144,7 @@ TABLES = (
         "yuan", EXPLORE, ("table1", "turning", "area", "seen", "unseen", "goals", "stability", "changes"), ("ablation",)
     ),
     Table("among walls", EXPLORE, bench("exploration", "--table", "walls"), "stdout"),
+    Table("unknown starts among landmarks", EXPLORE, bench("exploration", "--table", "starts"), "stdout"),
     Table("submaps", EXPLORE, bench("exploration", "--table", "submaps"), "stdout"),
     Table("planning alone", EXPLORE, bench("exploration_planning"), "stdout"),
 )

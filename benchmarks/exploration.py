@@ -1,7 +1,7 @@
 """What exploration costs and what it brings: decision times, runs, submaps against one big filter, planners, teams.
 
 python benchmarks/exploration.py [--quick] [--jobs 2] [--out exploration.json]
-python benchmarks/exploration.py --table submaps|walls      # a table of the documentation, alone
+python benchmarks/exploration.py --table submaps|walls|starts      # a table of the documentation, alone
 """
 
 import argparse
@@ -17,8 +17,15 @@ import numpy as np
 from mapweave.core.se2 import wrap_angle
 from mapweave.core.workers import one_blas_thread, worker_pool
 from mapweave.exploration.landmarks import coverage, objective
-from mapweave.exploration.landmarks.config import ExploreConfig, find_scenario, make_field
-from mapweave.exploration.landmarks.experiment import CALIBRATED, LandmarkMission, explore_many, with_noise
+from mapweave.exploration.landmarks.config import ExploreConfig, bounds, find_scenario, make_field
+from mapweave.exploration.landmarks.experiment import (
+    CALIBRATED,
+    LandmarkMission,
+    LandmarkRunScore,
+    explore_many,
+    explore_once,
+    with_noise,
+)
 from mapweave.exploration.landmarks.team import Team
 from mapweave.fusion.handover import hand_over
 from mapweave.kernels.landmarks import ekf, ekf_apply_drive, ekf_state
@@ -43,6 +50,11 @@ AMONG_WALLS = (  # planner, robots, runs
     *((planner, 2, 20) for planner in ("paper", "area", "coverage", "loop")),
     ("coverage", 1, 10), ("coverage", 4, 10), ("loop", 4, 10),
 )  # fmt: skip
+UNKNOWN_STARTS = (  # planner, robots, association, whether they start anywhere
+    ("paper", 2, "jcbb", False), ("paper", 2, "known", False), ("paper", 4, "jcbb", False),
+    ("coverage", 2, "jcbb", False), ("paper", 2, "jcbb", True), ("paper", 4, "jcbb", True),
+)  # fmt: skip
+STARTS_SEEDS = range(500, 520)  # on which nothing was chosen
 
 
 def main() -> None:
@@ -50,10 +62,10 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="4 runs a row, no map of 2,000 landmarks")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--out", type=Path)
-    parser.add_argument("--table", choices=("submaps", "walls"), help="this table alone, in Markdown")
+    parser.add_argument("--table", choices=tuple(TABLES), help="this table alone, in Markdown")
     args = parser.parse_args()
     if args.table:
-        (print_submaps if args.table == "submaps" else print_walls)()
+        TABLES[args.table]()
         return
     runs = 4 if args.quick else 30
     out = {"decisions": decisions(), "cost": [cost(n) for n in (SIZES[:2] if args.quick else SIZES)]}
@@ -63,6 +75,46 @@ def main() -> None:
         out["hardship"] = hardship(pool, runs)
     if args.out:
         args.out.write_text(json.dumps(out, indent=1), encoding="utf-8")
+
+
+def print_starts() -> None:
+    head = ("planner", "robots", "identities", "starts", "runs with one map", "wrongly joined", "one map at step")
+    head = (*head, *(f"{what}, {who}" for what in ("steps", "map error", "NEES/dof") for who in ("told", "not told")))
+    print(f"| {' | '.join(head)} |\n{'|---' * len(head)}|")
+    for planner, robots, association, anywhere in UNKNOWN_STARTS:
+        told, apart = (
+            [with_starts(planner, robots, association, seed, anywhere=anywhere, apart=a) for seed in STARTS_SEEDS]
+            for a in (False, True)
+        )
+        met = [r.met for r in apart if r.maps == 1]
+        cells = [
+            f"`{planner}`",
+            robots,
+            "known" if association == "known" else "unknown",
+            "anywhere" if anywhere else "the paper's",
+            f"{len(met)} of {len(apart)}",
+            sum(r.wrong_meetings for r in apart),
+            f"{min(met)} / {np.median(met):.0f} / {max(met)}",
+            *(f"{np.mean([r.steps for r in runs]):.0f}" for runs in (told, apart)),
+            *(f"{np.mean([r.map_error for r in runs]):.3f} m" for runs in (told, apart)),
+            *(f"{np.mean([r.nees_per_dof for r in runs]):.2f}" for runs in (told, apart)),
+        ]
+        print(f"| {' | '.join(map(str, cells))} |", flush=True)
+
+
+def with_starts(
+    planner: str, robots: int, association: str, seed: int, *, anywhere: bool, apart: bool
+) -> LandmarkRunScore:
+    """One run in the paper's field until all landmarks are seen, with starts that robots are told or not (`apart`)."""
+    scenario = find_scenario("yuan")
+    if anywhere:
+        lower, upper = bounds(scenario)
+        rng = np.random.default_rng([seed, 2])
+        places = rng.uniform([*lower, -np.pi], [*upper, np.pi], size=(robots, 3))
+        scenario = replace(scenario, starts=tuple(map(tuple, places.tolist())))
+    cfg = with_noise(ExploreConfig(submap=SubmapConfig(association=association)), CALIBRATED)
+    task = LandmarkMission(scenario, robots, planner, "landmarks", cfg=cfg, apart=apart)
+    return explore_once(task, seed)[0]
 
 
 def print_submaps() -> None:
@@ -275,6 +327,9 @@ def compiled(P: np.ndarray, marks: np.ndarray, script: list, u: np.ndarray, cfg:
         fit = ekf_state.UpdateOutcomes(np.empty(len(rows)), np.empty(len(rows)))
         ekf.frame(x, F, ekf_state.CameraFrame(rows, ranges, bearings), known, places, fit)
     return time.process_time() - begun
+
+
+TABLES = {"submaps": print_submaps, "walls": print_walls, "starts": print_starts}
 
 
 def mission(

@@ -33,7 +33,7 @@ from mapweave.exploration.landmarks.experiment import (
     explore_once,
     with_noise,
 )
-from mapweave.exploration.landmarks.team import Team, Truth
+from mapweave.exploration.landmarks.team import MapTruth, Team
 from mapweave.exploration.planner_interface import find_planner
 from mapweave.fusion.handover import Handover, hand_over
 from mapweave.landmarks.landmark_map import Submap, known_starts
@@ -168,15 +168,14 @@ def test_a_map_of_unknown_landmarks_is_as_honest_as_one_of_known(planner):
 
 
 def test_two_landmarks_exchanged_after_a_first_look_are_judged_as_the_ones_they_lie_on():
-    truth = Truth(np.zeros((1, 3)), origin=[{"a": Counter({7: 1, 8: 5}), "b": Counter({8: 1, 7: 4})}])
-    G = known_starts(("r",), np.zeros((1, 3)))
-    truth.hand_over(0, ("a", "b"), Handover(G, ("m0", "m1"), (False, False)))
+    truth, G = MapTruth(), known_starts(("r",), np.zeros((1, 3)))
+    origin = {"a": Counter({7: 1, 8: 5}), "b": Counter({8: 1, 7: 4})}
+    truth.hand_over(origin, ("a", "b"), Handover(G, ("m0", "m1"), (False, False)))
     assert truth.source == {"m0": 8, "m1": 7}
     assert truth.misassociations == 2
-    truth.origin[0] = {"a": Counter({7: 3})}
-    truth.hand_over(0, ("a",), Handover(G, ("m0",), (True,)))
+    truth.hand_over({"a": Counter({7: 3})}, ("a",), Handover(G, ("m0",), (True,)))
     assert truth.misassociations == 3
-    truth.hand_over(0, (), Handover(G, (), (), (("m0", "m1"),)))
+    truth.hand_over({}, (), Handover(G, (), (), (("m0", "m1"),)))
     assert truth.misassociations == 4
     assert set(truth.source) == {"m0"}
 
@@ -284,7 +283,7 @@ def test_explore_writes_what_the_contract_lists_and_its_log_can_be_read(tmp_path
     rows = (out / "runs.csv").read_text().splitlines()
     assert rows[0] == (
         "run,seed,finished,steps,map_error,c_per_n,nees_per_dof,duplicates,misassociations,missed,ms_per_decision,"
-        "collisions,hidden"
+        "collisions,hidden,maps,met,wrong_meetings"
     )
     assert len(rows) == 3
     assert {"finished", "runs", "steps_min", "steps_mean", "steps_max", "map_error_m", "c_per_n_m2"} <= set(

@@ -1,4 +1,4 @@
-"""Robots with lasers that do not know where the others start: each for itself, until two maps are of one place."""
+"""Robots that do not know where the others start: each for itself, until two maps are of one place."""
 
 import json
 
@@ -7,7 +7,6 @@ import pytest
 
 from mapweave.api.explore import explore
 from mapweave.core import se2
-from mapweave.core.errors import UsageError
 from mapweave.core.walls import Walls
 from mapweave.exploration.laser.config import LaserPlan, find_laser_scenario
 from mapweave.exploration.laser.experiment import LaserMission, explore_laser_once
@@ -85,11 +84,6 @@ def test_robots_in_two_buildings_stay_apart_and_are_told_so(tmp_path):
     assert tried["reason"] == "too little overlap: none of 1 submaps is found in the other map"
     assert tried["robots"] == ["robot1", "robot2"]
     assert "not found in the map of robot1" in (out / "report.html").read_text()
-
-
-def test_robots_among_landmarks_have_to_be_told_where_all_start():
-    with pytest.raises(UsageError, match="--unknown-starts"):
-        explore("yuan", unknown_starts=True, until=1)
 
 
 def two_in_a_hall():

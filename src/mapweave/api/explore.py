@@ -375,7 +375,7 @@ def explore(
         The share of messages between robots that is lost, from 0 to below 1 (0).
     unknown_starts
         No robot knows where the others start: each drives for itself until its map is found to be of the same place as
-        another's, with lasers (False).
+        another's (False).
     config
         Settings as `configuration("explore")` prints them: a TOML file, its tables as mappings, or an object of
         a configuration class; options here win.
@@ -432,8 +432,6 @@ def explore(
 
 
 def _among_landmarks(scenario: str, options: ExploreOptions) -> LandmarkExploration:
-    if options.unknown_starts:
-        raise UsageError("--unknown-starts: robots among landmarks are told where all start; lasers find each other")
     planner = "paper" if options.planner is None else options.planner
     cfg = load(ExploreConfig, options.config, positive=POSITIVE)
     check_magnitudes(cfg, str(options.config))
@@ -447,9 +445,11 @@ def _among_landmarks(scenario: str, options: ExploreOptions) -> LandmarkExplorat
         cfg = with_noise(cfg, _noise(options.noise))
     place = find_scenario(scenario)
     world = make_field(place, options.robots, options.seed)
+    if options.unknown_starts and world.walls is not None:
+        raise UsageError("--unknown-starts: robots among walls are given the plan of them and where they stand in it")
     check_rasters(place, len(world.starts), cfg)
     until, kills = end_of(options.until, "landmarks", "field"), kills_of(options.kill or {}, len(world.starts))
-    mission = LandmarkMission(place, options.robots, planner, until, kills, options.drop, cfg)
+    mission = LandmarkMission(place, options.robots, planner, until, kills, options.drop, cfg, options.unknown_starts)
     find_planner(planner, "landmarks")
     return options.explore(
         partial(explore_once, mission),

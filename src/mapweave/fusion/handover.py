@@ -9,7 +9,7 @@ from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.linalg import blas, solve_triangular
+from scipy.linalg import blas, block_diag, solve_triangular
 from scipy.spatial import cKDTree
 
 from ..core import se2
@@ -26,6 +26,7 @@ PAIRING_CANDIDATES = 40  # pairs weighed together, the nearest
 PAIRING_REACH = 3.0  # [m] apart up to which two landmarks of the map may turn out to be one
 PAIRING_APART = 10.0  # [m] apart from which two landmarks of one submap are never asked about again
 
+JOINING_SD = (30.0, 30.0, 3.0)  # [m], [rad] of how a map lies before its links are used: no word beside theirs
 ITERATIONS = 10  # at most; with little noise two suffice
 CONVERGED = 1e-6  # [m], [rad]
 FLOOR = 1e-12  # what keeps a constraint on things already certain solvable: [m^2], and as a share
@@ -322,6 +323,88 @@ def hand_over(
         renamed = {gone: kept for kept, gone in merged}
         names = tuple(_follow(name, renamed) for name in names)
     return Handover(out, names, tuple(i in pairs for i in range(len(L.ids))), merged)
+
+
+@dataclass(frozen=True, slots=True)
+class JoinedMaps:
+    """Two maps made one: what each landmark of the other is called in it; how the other lay; (kept, dropped) of
+    duplicates merged.
+    """
+
+    map: GlobalMap
+    names: tuple[str, ...]
+    T_map_other: Float[np.ndarray, "3"]
+    merged: tuple[tuple[str, str], ...] = ()
+
+
+def join_maps(
+    G: GlobalMap,
+    other: GlobalMap,
+    links: Int[np.ndarray, "k 2"],
+    T: Float[np.ndarray, "3"],
+    *,
+    prefix: str = "",
+    cfg: PairingConfig | None = None,
+) -> JoinedMaps:
+    """`G` with all that an independent map knows, whose frame nobody knew: conditioned on linked landmarks being one.
+
+    links: landmarks of `other` and of `G`; T: about where `other` lies in `G`, which nothing but the links tells in the
+    end; linearised anew where it ends up. Landmarks of the other that have no link keep their name, or are named
+    `prefix` and a number where it is taken. With `cfg`, whose identities nobody knows, those of which it turns out that
+    they are one are merged.
+    """
+    taken, names = set(G.ids), [""] * len(other.ids)
+    for i, m in links.tolist():
+        names[i] = G.ids[m]
+    for i, name in enumerate(other.ids):
+        if not names[i]:
+            names[i] = name if name not in taken else unused(prefix, taken)
+            taken.add(names[i])
+    for _ in range(ITERATIONS):
+        state = _Merging(_side_by_side(G, other, T))
+        for i, m in links.tolist():
+            state.merge(m, len(G.ids) + i)
+        both = state.map()
+        last, T = T, both.frames[-1]
+        if np.abs(T - last).max() < CONVERGED:
+            break
+    k, rows = len(both.robots) - 1, np.arange(len(both.cov))
+    rows = rows[(rows < 3 * k) | (rows >= 3 * k + 3)]
+    kept = (*G.ids, *(name for name in names if name not in G.ids))
+    renamed = dict(zip(other.ids, names, strict=True))
+    apart = G.apart | {ordered_pair(renamed[a], renamed[b]) for a, b in other.apart}
+    out = GlobalMap(both.robots[:k], both.frames[:k], kept, both.mean, owned(both.cov[np.ix_(rows, rows)]), apart)
+    merged: tuple[tuple[str, str], ...] = ()
+    if cfg is not None:
+        out, merged = merge_duplicates(out, cfg)
+    return JoinedMaps(out, tuple(names), T, merged)
+
+
+def _side_by_side(G: GlobalMap, other: GlobalMap, T: Float[np.ndarray, "3"]) -> GlobalMap:
+    """Both maps in G's frame, T as one more frame after theirs, about which all but nothing is known."""
+    a, b, n = len(G.robots), len(other.robots), len(other.ids)
+    J = np.zeros((3 * b + 2 * n, 3 + 3 * b + 2 * n))
+    for k, frame in enumerate(other.frames):
+        row = slice(3 * k, 3 * k + 3)
+        J[row, :3], J[row, 3 + 3 * k : 6 + 3 * k] = se2.compose_jacobians(T, frame)
+    C = se2.rotation(float(T[2]))
+    for k, (x, y) in enumerate(other.mean):
+        row = slice(3 * b + 2 * k, 3 * b + 2 * k + 2)
+        J[row, :2], J[row, 2], J[row, 3 + row.start : 3 + row.stop] = np.eye(2), C @ (-y, x), C
+    P_T = np.diag(np.square(JOINING_SD))
+    cross = J[:, :3] @ P_T
+    P = block_diag(G.cov, P_T, symmetrise(cross @ J[:, :3].T + J[:, 3:] @ other.cov @ J[:, 3:].T))
+    at, g = len(G.cov), 3 * a
+    P[at + 3 :, at : at + 3], P[at : at + 3, at + 3 :] = cross, cross.T
+    its = at + 3 + np.arange(len(J))
+    order = np.concatenate([np.arange(g), its[: 3 * b], at + np.arange(3), np.arange(g, at), its[3 * b :]])
+    return GlobalMap(
+        (*G.robots, *other.robots, ""),
+        np.vstack([G.frames, se2.compose(T, other.frames), T]),
+        (*G.ids, *(f"other {k}" for k in range(n))),
+        np.vstack([G.mean, se2.act(T, other.mean)]),
+        owned(P[np.ix_(order, order)]),
+    )
 
 
 def _apart(G: GlobalMap, names: list[str], far: float) -> frozenset[tuple[str, str]]:

@@ -19,6 +19,7 @@ from ..landmarks.landmark_map import LandmarkMap
 from .alignment import JointFit, joint_fit, log_correspondences, log_evidence, spread_area
 
 IDENTITY_LINKS = 6  # landmarks that must agree before a match is believed
+NAMED_LINKS = 3  # landmarks of one name that must agree before two maps are one
 IDENTITY_CHANCE = 5.0  # how much likelier than chance, all ways to pair as many landmarks counted
 IDENTITY_ODDS = 5.0  # how much likelier than any other alignment
 IDENTITY_LOOSE = 0.05  # probability that maps err by noise and scale too, before they are compared
@@ -50,7 +51,7 @@ class Match:
     """links: (k, 2) indices into source and target; `accepted`, or the plain reason why not.
 
     T_target_source: the alignment found; rival: how many links the next best alignment has; evidence: logarithm of
-    the odds for these links against chance.
+    the odds for these links against chance; rival_evidence: the highest of any other alignment.
     """
 
     links: Int[np.ndarray, "k 2"]
@@ -61,6 +62,7 @@ class Match:
     accepted: bool
     reason: str
     evidence: float = -np.inf
+    rival_evidence: float = -np.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,10 +88,35 @@ def match_maps(source: LandmarkMap, target: LandmarkMap, cfg: IdentityConfig | N
     best = candidates[0]
     rivals = [c for c in candidates[1:] if _rivals(c, best, source, target, cfg)]
     rival = max((len(c.links) for c in rivals), default=0)
-    lead = best.evidence - max((c.evidence for c in rivals), default=-np.inf)
+    second = max((c.evidence for c in rivals), default=-np.inf)
+    lead = best.evidence - second
     k = len(best.links)
     reason = _refusal(best, rival, lead if k > 2 else 0.0) or _chance(best, len(source), len(target))
-    return Match(best.links, best.fit.T, best.fit.chi2, 2 * k - 3, rival, not reason, reason, best.evidence)
+    return Match(best.links, best.fit.T, best.fit.chi2, 2 * k - 3, rival, not reason, reason, best.evidence, second)
+
+
+def match_names(source: LandmarkMap, target: LandmarkMap, cfg: IdentityConfig | None = None) -> Match:
+    """How `source` lies in `target` by the names that both have; refused with a reason when these do not fit together.
+
+    Three names are needed: the third is what can contradict.
+    """
+    cfg = cfg or IdentityConfig()
+    there = {name: k for k, name in enumerate(target.ids)}
+    links = np.array([(i, there[name]) for i, name in enumerate(source.ids) if name in there], dtype=np.intp)
+    links = links.reshape(-1, 2)
+    k = len(links)
+    if k < NAMED_LINKS:
+        reason = f"{k} landmarks in common, {NAMED_LINKS} are needed"
+        return Match(links, np.zeros(3), 0.0, 0, 0, accepted=False, reason=reason)
+    T = se2.align(source.mean[links[:, 0]], target.mean[links[:, 1]])
+    fit = joint_fit(source, target, links, T, cfg.noise, cfg.scale_sigma)
+    per_dof = fit.chi2 / (2 * k - 3)
+    reason = "" if per_dof <= CHI2_PER_DOF else f"the {k} landmarks in common do not fit: {_per_dof(per_dof)}"
+    return Match(links, fit.T, fit.chi2, 2 * k - 3, 0, not reason, reason, np.inf)
+
+
+def _per_dof(value: float) -> str:
+    return f"chi-square per degree of freedom {value:.1f}"
 
 
 def _refusal(best: AlignmentCandidate, rival: int, lead: float) -> str:
@@ -100,7 +127,7 @@ def _refusal(best: AlignmentCandidate, rival: int, lead: float) -> str:
         return f"{k} landmarks fit together, but {rival} do as well in another alignment"
     per_dof = best.fit.chi2 / (2 * k - 3)
     if per_dof > CHI2_PER_DOF:
-        return f"the {k} landmarks that lie together do not fit: chi-square per degree of freedom {per_dof:.1f}"
+        return f"the {k} landmarks that lie together do not fit: {_per_dof(per_dof)}"
     return ""
 
 

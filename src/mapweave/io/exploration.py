@@ -34,6 +34,9 @@ COLUMNS = (
     "ms_per_decision",
     "collisions",
     "hidden",
+    "maps",
+    "met",
+    "wrong_meetings",
 )
 
 

@@ -33,7 +33,7 @@ def first_seen(run: LandmarkRunRecord, cfg: ExploreConfig) -> Float[np.ndarray, 
     seen, first = np.zeros(shape, dtype=bool), np.full(shape, np.nan)
     raster = Raster(run.world.lower, cell)
     for moment in (run.first_look, *run.moments):
-        for pose in moment.poses:
+        for pose in moment.poses[~np.isnan(moment.poses[:, 0])]:  # of robots that are known to be in the map
             if run.floor is None:
                 mark_half_disc(seen, pose, sector, raster)
             else:

@@ -4,11 +4,12 @@ Which cells of a rectangle a team has seen, by whom, and whether that knowledge 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ...core import se2
 from ...kernels.walls.segments import Raster
 from ...landmarks.landmark_map import GlobalMap, Submap
 from ..planner_interface import TeamBelief
@@ -93,6 +94,23 @@ class Explored:
         if self.outside is not None:
             self.fused |= self.outside
         self.sweeps += 1
+
+    def joined(self, other: "Explored", T: Float[np.ndarray, "3"]) -> "Explored":
+        """What this crew and another one know together. T: `T_self_other`, of the other's raster in this one."""
+        ny, nx = self.fused.shape
+        centres = self.centres(np.argwhere(np.ones((ny, nx), dtype=bool)))
+        at = np.floor((se2.act(se2.inverse(T), centres) - other.lower) / other.cell).astype(np.int64)
+        inside = np.all((at >= 0) & (at < other.fused.shape[::-1]), axis=1)
+        x, y = np.where(inside[:, None], at, 0).T
+
+        def seen(cells: np.ndarray) -> np.ndarray:
+            return np.asarray((cells[..., y, x] & inside).reshape(*cells.shape[:-2], ny, nx))
+
+        pending, backlog = (
+            np.concatenate([mine, seen(its)])
+            for mine, its in ((self.pending, other.pending), (self.backlog, other.backlog))
+        )
+        return replace(self, fused=self.fused | seen(other.fused), pending=pending, backlog=backlog)
 
     def centres(self, cells: Int[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
         """Centres [m] of `cells` given as rows (iy, ix)."""

@@ -16,7 +16,7 @@ from ..mission import ExplorationResult, Mission, RunScore, run_seeds
 from ..planner_interface import find_planner, is_built_in
 from .config import ExploreConfig, ScenarioConfig, make_field
 from .floor_plan import FloorPlan
-from .team import StepRecord, Team
+from .team import Meeting, StepRecord, Team
 
 PRINTED_SD = (0.3, 0.3, 0.05)  # [m], [m], [rad] a step, as the paper prints them
 CALIBRATED = 0.05  # the factor on them with which the paper's table comes out
@@ -24,7 +24,7 @@ CALIBRATED = 0.05  # the factor on them with which the paper's table comes out
 
 @dataclass(frozen=True, slots=True)
 class LandmarkMission(Mission[ScenarioConfig, ExploreConfig]):
-    """One experiment's settings in a landmark world."""
+    """One experiment's settings in a landmark world. apart: no robot knows where the others start."""
 
     robots: int | None = None
     planner: str = "paper"
@@ -32,22 +32,32 @@ class LandmarkMission(Mission[ScenarioConfig, ExploreConfig]):
     kills: Mapping[int, int] | None = None
     drop: float = 0.0
     cfg: ExploreConfig = field(default_factory=ExploreConfig)
+    apart: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class LandmarkRunScore(RunScore):
     """collisions: how often a robot's true motion met a wall; it was stopped short of it.
 
-    hidden: landmarks that walls hide from every place a robot can reach: neither sought nor missed.
+    hidden: landmarks that walls hide from every place a robot can reach: neither sought nor missed. maps: how many
+    there are in the end; met: the step at which two became one, the last time, None where none did; wrong_meetings:
+    maps joined by landmarks of which half or more are not the same.
     """
 
     collisions: int = 0
     hidden: int = 0
+    maps: int = 1
+    met: int | None = None
+    wrong_meetings: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class LandmarkRunRecord:
-    """What one run did, for figures and logs: its world, every moment, the final map and who is who in it."""
+    """What one run did, for figures and logs: its world, every moment, the final map and who is who in it.
+
+    maps: the robots of each map there was in the end, the map's own first; meetings: those that joined two, and of
+    others the latest decision.
+    """
 
     world: Field
     robots: tuple[str, ...]
@@ -58,6 +68,8 @@ class LandmarkRunRecord:
     period: float
     submap_borders: tuple[tuple[int, int, np.ndarray], ...]  # (step, robot, corners (k, 2)) at each hand-over
     floor: FloorPlan | None = None
+    maps: tuple[tuple[str, ...], ...] = ()
+    meetings: tuple[Meeting, ...] = ()
 
 
 def with_noise(cfg: ExploreConfig, factor: float) -> ExploreConfig:
@@ -85,6 +97,7 @@ def explore_once(mission: LandmarkMission, seed: int, run: int = 0) -> tuple[Lan
         kills=dict(mission.kills or {}),
         drop=mission.drop,
         until=mission.until,
+        apart=mission.apart,
     )
     first = team.observe_start()
     moments = tuple(team.play())
@@ -94,10 +107,12 @@ def explore_once(mission: LandmarkMission, seed: int, run: int = 0) -> tuple[Lan
         moments,
         first,
         team.G,
-        dict(team.truth.source),
+        dict(team.crews[0].truth.source),
         mission.cfg.submap.period,
         tuple(team.borders),
         team.floor,
+        tuple(crew.G.robots for crew in team.crews),
+        tuple(team.meetings),
     )
     return score(team, run, seed, moments), record
 
@@ -132,7 +147,7 @@ def _score_only(mission: LandmarkMission, seed: int, run: int) -> LandmarkRunSco
 
 def score(team: Team, run: int, seed: int, moments: tuple[StepRecord, ...]) -> LandmarkRunScore:
     """A finished run against the truth: mean landmark distance, mean ellipse area, NEES a degree of freedom."""
-    source = team.truth.source
+    source = team.crews[0].truth.source
     known = [i for i, name in enumerate(team.G.ids) if name in source]
     marks = team.G.landmarks.select([team.G.ids[i] for i in known])
     true = np.array([source[name] for name in marks.ids], dtype=int)
@@ -149,11 +164,14 @@ def score(team: Team, run: int, seed: int, moments: tuple[StepRecord, ...]) -> L
         c_per_n=float(np.mean([np.pi * np.sqrt(max(np.linalg.det(b), 0.0)) for b in blocks])) if known else None,
         nees_per_dof=mahalanobis2(error.ravel(), marks.cov) / error.size if known else None,
         duplicates=len(known) - len(set(true.tolist())),
-        misassociations=team.truth.misassociations,
+        misassociations=team.crews[0].truth.misassociations,
         missed=len(team.wanted - set(true.tolist())),
         ms_per_decision=1e3 * seconds / max(decisions, 1),
         collisions=team.bumper.collisions,
         hidden=len(team.world.landmarks) - len(team.wanted),
+        maps=len(team.crews),
+        met=max((m.step for m in team.meetings if m.joined), default=None),
+        wrong_meetings=sum(m.joined and 2 * m.wrong >= m.links for m in team.meetings),
     )
 
 
@@ -183,8 +201,14 @@ class ExploreResult(ExplorationResult[LandmarkMission, LandmarkRunScore, Landmar
     @property
     def metrics(self) -> dict[str, Any]:
         """What metrics.json holds; only `timing` and `ms_per_decision` differ between equal runs."""
-        return self._settings(self.first.robots, {}, {"association": self.mission.cfg.submap.association}) | {
+        world = {"unknown_starts": self.mission.apart}
+        return self._settings(self.first.robots, world, {"association": self.mission.cfg.submap.association}) | {
             "left_out": self.left_out(),
+            "maps": [list(robots) for robots in self.first.maps],
+            "meetings": [
+                m._asdict() | {"robots": list(m.robots), "odds": m.odds if np.isfinite(m.odds) else None}
+                for m in self.first.meetings
+            ],
             "runs": [asdict(r) for r in self.runs],
         }
 
@@ -201,6 +225,13 @@ class ExploreResult(ExplorationResult[LandmarkMission, LandmarkRunScore, Landmar
             f"a run: {s['duplicates']:.2f} duplicates, {s['misassociations']:.2f} misassociations, "
             f"{s['missed']:.2f} landmarks missed; {s['ms_per_decision']:.2f} ms a decision"
         )
+        if self.mission.apart:
+            one, wrong = sum(r.maps == 1 for r in self.runs), sum(r.wrong_meetings for r in self.runs)
+            lines.append(f"all robots found each other in {one} of {len(self.runs)} runs, {wrong} times wrongly")
+            lines += [
+                f"{', '.join(robots)}: not found in the map of {self.first.robots[0]}, nor is what they mapped"
+                for robots in self.first.maps[1:]
+            ]
         return lines + self.lines_on_walls()
 
     def lines_on_walls(self) -> list[str]:

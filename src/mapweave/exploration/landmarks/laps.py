@@ -352,9 +352,9 @@ def _least_detour(here: np.ndarray, way: Float[np.ndarray, "n 2"], place: np.nda
 def lap_steps(belief: LandmarkBelief, part: JointConfig | CoverageConfig, most_robot_steps: int) -> int:
     """How long the live robots take for laps of an open field at the rate of `part`; 0 where laps are not planned.
 
-    They are not among walls, nor where the search would take minutes.
+    They are not among walls, nor by a team that met under way, nor where the search would take minutes.
     """
-    if belief.floor is not None:
+    if belief.floor is not None or belief.step > 0:
         return 0
     live = max(1, int(belief.alive.sum()))
     rate = part.rate if live > 1 else part.rate_alone
