@@ -1,7 +1,7 @@
 """What exploration costs and what it brings: decision times, runs, submaps against one big filter, planners, teams.
 
 python benchmarks/exploration.py [--quick] [--jobs 2] [--out exploration.json]
-python benchmarks/exploration.py --table submaps|walls|starts      # a table of the documentation, alone
+python benchmarks/exploration.py --table submaps|walls|starts|radio      # a table of the documentation, alone
 """
 
 import argparse
@@ -17,7 +17,7 @@ import numpy as np
 from mapweave.core.se2 import wrap_angle
 from mapweave.core.workers import one_blas_thread, worker_pool
 from mapweave.exploration.landmarks import coverage, objective
-from mapweave.exploration.landmarks.config import ExploreConfig, bounds, find_scenario, make_field
+from mapweave.exploration.landmarks.config import ExploreConfig, MissionConfig, bounds, find_scenario, make_field
 from mapweave.exploration.landmarks.experiment import (
     CALIBRATED,
     LandmarkMission,
@@ -54,7 +54,11 @@ UNKNOWN_STARTS = (  # planner, robots, association, whether they start anywhere
     ("paper", 2, "jcbb", False), ("paper", 2, "known", False), ("paper", 4, "jcbb", False),
     ("coverage", 2, "jcbb", False), ("paper", 2, "jcbb", True), ("paper", 4, "jcbb", True),
 )  # fmt: skip
-STARTS_SEEDS = range(500, 520)  # on which nothing was chosen
+UNSEEN = range(500, 520)  # seeds on which nothing was chosen
+RADIO = (  # planner, robots, range [m]
+    *(("paper", 2, m) for m in (np.inf, 40.0, 20.0)), *(("paper", 4, m) for m in (np.inf, 40.0, 20.0)),
+    *(("coverage", 2, m) for m in (np.inf, 40.0, 20.0)),
+)  # fmt: skip
 
 
 def main() -> None:
@@ -83,7 +87,7 @@ def print_starts() -> None:
     print(f"| {' | '.join(head)} |\n{'|---' * len(head)}|")
     for planner, robots, association, anywhere in UNKNOWN_STARTS:
         told, apart = (
-            [with_starts(planner, robots, association, seed, anywhere=anywhere, apart=a) for seed in STARTS_SEEDS]
+            [with_starts(planner, robots, association, seed, anywhere=anywhere, apart=a) for seed in UNSEEN]
             for a in (False, True)
         )
         met = [r.met for r in apart if r.maps == 1]
@@ -100,6 +104,28 @@ def print_starts() -> None:
             *(f"{np.mean([r.nees_per_dof for r in runs]):.2f}" for runs in (told, apart)),
         ]
         print(f"| {' | '.join(map(str, cells))} |", flush=True)
+
+
+def print_radio() -> None:
+    head = ("planner", "robots", "radio", "rendezvous", "finished", "in touch", "steps", "map error", "NEES/dof")
+    print(f"| {' | '.join(head)} |\n{'|---' * len(head)}|")
+    for planner, robots, reach in RADIO:
+        for every in (100, 0) if np.isfinite(reach) else (100,):
+            cfg = with_noise(ExploreConfig(mission=MissionConfig(rendezvous=every)), CALIBRATED)
+            task = LandmarkMission(find_scenario("yuan"), robots, planner, "landmarks", cfg=cfg, radio=reach)
+            runs = explore_many(task, len(UNSEEN), UNSEEN[0])
+            cells = (
+                f"`{planner}`",
+                robots,
+                f"{reach:g} m" if np.isfinite(reach) else "any",
+                f"{every} steps" if every and np.isfinite(reach) else "when all is seen" if not every else "",
+                f"{sum(r.finished for r in runs)} of {len(runs)}",
+                f"{100 * np.mean([r.in_touch for r in runs]):.0f} %",
+                f"{np.mean([r.steps for r in runs]):.0f}",
+                f"{np.mean([r.map_error for r in runs]):.3f} m",
+                f"{np.mean([r.nees_per_dof for r in runs]):.2f}",
+            )
+            print(f"| {' | '.join(map(str, cells))} |", flush=True)
 
 
 def with_starts(
@@ -329,7 +355,7 @@ def compiled(P: np.ndarray, marks: np.ndarray, script: list, u: np.ndarray, cfg:
     return time.process_time() - begun
 
 
-TABLES = {"submaps": print_submaps, "walls": print_walls, "starts": print_starts}
+TABLES = {"submaps": print_submaps, "walls": print_walls, "starts": print_starts, "radio": print_radio}
 
 
 def mission(

@@ -13,7 +13,7 @@ import mapweave
 from mapweave.api.explore import explore
 from mapweave.core import se2
 from mapweave.core.errors import ConfigError, DataError, EstimateError, UsageError
-from mapweave.exploration.landmarks import team as team_module
+from mapweave.exploration.landmarks import crew as crew_module
 from mapweave.exploration.landmarks.config import (
     ExploreConfig,
     HandoverConfig,
@@ -26,6 +26,7 @@ from mapweave.exploration.landmarks.config import (
     find_scenario,
     make_field,
 )
+from mapweave.exploration.landmarks.crew import MapTruth
 from mapweave.exploration.landmarks.experiment import (
     CALIBRATED,
     LandmarkMission,
@@ -33,7 +34,7 @@ from mapweave.exploration.landmarks.experiment import (
     explore_once,
     with_noise,
 )
-from mapweave.exploration.landmarks.team import MapTruth, Team
+from mapweave.exploration.landmarks.team import Team
 from mapweave.exploration.planner_interface import find_planner
 from mapweave.fusion.handover import Handover, hand_over
 from mapweave.landmarks.landmark_map import Submap, known_starts
@@ -130,7 +131,7 @@ def count_twice():
         again = Submap(L.robot, np.zeros(3), L.ids, se2.act(se2.inverse(L.pose), L.mean), P, L.frame)
         return replace(done, map=hand_over(done.map, again, **more).map)
 
-    team_module.hand_over = twice
+    crew_module.hand_over = twice
 
 
 @pytest.mark.slow
@@ -283,7 +284,7 @@ def test_explore_writes_what_the_contract_lists_and_its_log_can_be_read(tmp_path
     rows = (out / "runs.csv").read_text().splitlines()
     assert rows[0] == (
         "run,seed,finished,steps,map_error,c_per_n,nees_per_dof,duplicates,misassociations,missed,ms_per_decision,"
-        "collisions,hidden,maps,met,wrong_meetings"
+        "collisions,hidden,maps,met,wrong_meetings,in_touch"
     )
     assert len(rows) == 3
     assert {"finished", "runs", "steps_min", "steps_mean", "steps_max", "map_error_m", "c_per_n_m2"} <= set(

@@ -113,7 +113,7 @@ def test_an_unreachable_pocket_is_left_out_and_reported(tmp_path):
     assert "a pocket no robot can see into, 6 m²" in lines
     assert "4 at (18.0, 6.5)" in lines
     assert "a pocket no robot can see into" in (out / "report.html").read_text(encoding="utf-8").lower()
-    assert (out / "runs.csv").read_text().splitlines()[1].endswith(",0,1,1,,0")
+    assert (out / "runs.csv").read_text().splitlines()[1].endswith(",0,1,1,,0,1")
     assert len(read_mrclam(out / "log")) == 1
 
 

@@ -8,6 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
+
 from ..core.config import load
 from ..core.errors import ConfigError, UsageError
 from ..core.paths import AnyConfig, checked_arguments
@@ -77,6 +79,7 @@ class ExploreOptions:
     kill: Mapping[str, int] | None
     drop: float
     unknown_starts: bool
+    radio: float | None
     config: AnyConfig | None
     jobs: int
     executor: Executor | None
@@ -91,6 +94,8 @@ class ExploreOptions:
             raise UsageError(f"--seed: expected 0 or more, found {self.seed}")
         if not 0 <= self.drop < 1:
             raise UsageError(f"--drop: expected a share of messages from 0 to below 1, found {self.drop:g}")
+        if self.radio is not None and not self.radio > 0:
+            raise UsageError(f"--radio: expected a range above 0 m, found {self.radio:g}")
 
     def explore(
         self,
@@ -222,6 +227,8 @@ def explore_laser(name: str, scenario: LaserScenarioConfig, options: ExploreOpti
     """
     if options.association is not None:
         raise UsageError("--association: a laser world has no landmarks whose identities could be known or not")
+    if options.radio is not None:
+        raise UsageError("--radio: robots with lasers always hear each other; give a landmark world")
     planner = "coverage" if options.planner is None else options.planner
     factor = _factor(options.noise)
     cfg = load(LaserMissionConfig, options.config, positive=LASER_POSITIVE)
@@ -337,6 +344,7 @@ def explore(
     kill: Mapping[str, int] | None = None,
     drop: float = 0.0,
     unknown_starts: bool = False,
+    radio: float | None = None,
     config: AnyConfig | None = None,
     jobs: int = 1,
     force: bool = False,
@@ -376,6 +384,8 @@ def explore(
     unknown_starts
         No robot knows where the others start: each drives for itself until its map is found to be of the same place as
         another's (False).
+    radio
+        Within which distance [m] of each other, or over others, robots exchange what they know, among landmarks (any).
     config
         Settings as `configuration("explore")` prints them: a TOML file, its tables as mappings, or an object of
         a configuration class; options here win.
@@ -417,6 +427,7 @@ def explore(
         kill=kill,
         drop=drop,
         unknown_starts=unknown_starts,
+        radio=radio,
         config=config,
         jobs=jobs,
         executor=executor,
@@ -445,11 +456,16 @@ def _among_landmarks(scenario: str, options: ExploreOptions) -> LandmarkExplorat
         cfg = with_noise(cfg, _noise(options.noise))
     place = find_scenario(scenario)
     world = make_field(place, options.robots, options.seed)
+    if options.unknown_starts and options.radio is not None:
+        raise UsageError("--radio: robots that part have to know where all start; give it without --unknown-starts")
     if options.unknown_starts and world.walls is not None:
         raise UsageError("--unknown-starts: robots among walls are given the plan of them and where they stand in it")
     check_rasters(place, len(world.starts), cfg)
     until, kills = end_of(options.until, "landmarks", "field"), kills_of(options.kill or {}, len(world.starts))
-    mission = LandmarkMission(place, options.robots, planner, until, kills, options.drop, cfg, options.unknown_starts)
+    radio = np.inf if options.radio is None else options.radio
+    mission = LandmarkMission(
+        place, options.robots, planner, until, kills, options.drop, cfg, options.unknown_starts, radio
+    )
     find_planner(planner, "landmarks")
     return options.explore(
         partial(explore_once, mission),

@@ -37,6 +37,7 @@ COLUMNS = (
     "maps",
     "met",
     "wrong_meetings",
+    "in_touch",
 )
 
 

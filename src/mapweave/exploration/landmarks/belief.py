@@ -95,6 +95,12 @@ class Explored:
             self.fused |= self.outside
         self.sweeps += 1
 
+    def add(self, other: "Explored") -> None:
+        """What another crew has seen of the same raster is known here too."""
+        self.fused |= other.fused
+        self.pending |= other.pending
+        self.backlog |= other.backlog
+
     def joined(self, other: "Explored", T: Float[np.ndarray, "3"]) -> "Explored":
         """What this crew and another one know together. T: `T_self_other`, of the other's raster in this one."""
         ny, nx = self.fused.shape
@@ -121,7 +127,8 @@ class Explored:
 class LandmarkBelief(TeamBelief):
     """explored: cells by who knows of them; submaps and the global map with their covariances; floor: what the plan of
     the walls tells, None in an open field; contacts: (k, 2) places in the map where a robot lately met a wall that it
-    thought farther away; lower, upper: (2,) corners [m] of the field.
+    thought farther away; lower, upper: (2,) corners [m] of the field; away: (M,) robots beyond the radio's range, which
+    are not alive here but may be at work: the plan made together holds for them.
     """
 
     lower: Float[np.ndarray, "2"]
@@ -131,6 +138,7 @@ class LandmarkBelief(TeamBelief):
     global_map: GlobalMap
     floor: FloorPlan | None = None
     contacts: Float[np.ndarray, "k 2"] = field(default_factory=lambda: np.zeros((0, 2)))
+    away: Bool[np.ndarray, " r"]
 
 
 Planner = Callable[[LandmarkBelief, Float[np.ndarray, "r 3"], ExploreConfig], Float[np.ndarray, "r 2"]]

@@ -121,6 +121,7 @@ class MissionConfig:
 
     cell: float = 1.0  # [m], side of the explored raster's cells, as in the paper
     max_steps: int = 1500  # [steps] after which a run ends unfinished
+    rendezvous: int = 100  # [steps] out of touch after which robots meet, radio limited; 0: when all is seen
 
 
 @config

@@ -76,12 +76,12 @@ def begin_tours(belief: LandmarkBelief, poses: np.ndarray, cfg: ExploreConfig) -
 def cover(belief: LandmarkBelief, poses: Float[np.ndarray, "r 3"], cfg: ExploreConfig) -> Float[np.ndarray, "r 2"]:
     """Every live robot heads for the first disc of its tour, on a course that shows it new ground on the way."""
     memory = belief.memory
-    live = np.flatnonzero(belief.alive)
-    stale = belief.step >= memory.get("plan_until", -1) or memory.get("plan_for") != tuple(live)
-    if stale:
-        memory["goals"] = plan(belief, poses, live)
+    live, sharing = np.flatnonzero(belief.alive), np.flatnonzero(belief.alive | belief.away)
+    among = (tuple(live), tuple(sharing))
+    if belief.step >= memory.get("plan_until", -1) or memory.get("plan_for") != among:
+        memory["goals"] = plan(belief, poses, sharing)
         memory["plan_until"] = belief.step + COVERAGE_REPLAN_EVERY
-        memory["plan_for"] = tuple(live)
+        memory["plan_for"] = among
     out = np.zeros((len(belief.robots), 2))
     for j in live:
         goal = held_target(belief, int(j), poses[j], cfg)
@@ -109,7 +109,7 @@ def held_target(belief: LandmarkBelief, j: int, pose: np.ndarray, cfg: ExploreCo
 
 
 def plan(belief: LandmarkBelief, poses: np.ndarray, live: np.ndarray) -> dict[int, np.ndarray]:
-    """The next place (2,) for each live robot: the first disc of its tour, or the nearest unexplored cell."""
+    """The next place (2,) for each of the robots `live`: the first disc of its tour, or the nearest unexplored cell."""
     ex = belief.explored
     cells = ex.centres(np.argwhere(~ex.team()))
     if len(cells) == 0:

@@ -16,7 +16,7 @@ from ..mission import ExplorationResult, Mission, RunScore, run_seeds
 from ..planner_interface import find_planner, is_built_in
 from .config import ExploreConfig, ScenarioConfig, make_field
 from .floor_plan import FloorPlan
-from .team import Meeting, StepRecord, Team
+from .team import LandmarkMeeting, StepRecord, Team
 
 PRINTED_SD = (0.3, 0.3, 0.05)  # [m], [m], [rad] a step, as the paper prints them
 CALIBRATED = 0.05  # the factor on them with which the paper's table comes out
@@ -24,7 +24,10 @@ CALIBRATED = 0.05  # the factor on them with which the paper's table comes out
 
 @dataclass(frozen=True, slots=True)
 class LandmarkMission(Mission[ScenarioConfig, ExploreConfig]):
-    """One experiment's settings in a landmark world. apart: no robot knows where the others start."""
+    """One experiment's settings in a landmark world.
+
+    apart: no robot knows where the others start; radio: [m] within which robots exchange what they know.
+    """
 
     robots: int | None = None
     planner: str = "paper"
@@ -33,6 +36,7 @@ class LandmarkMission(Mission[ScenarioConfig, ExploreConfig]):
     drop: float = 0.0
     cfg: ExploreConfig = field(default_factory=ExploreConfig)
     apart: bool = False
+    radio: float = np.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +45,8 @@ class LandmarkRunScore(RunScore):
 
     hidden: landmarks that walls hide from every place a robot can reach: neither sought nor missed. maps: how many
     there are in the end; met: the step at which two became one, the last time, None where none did; wrong_meetings:
-    maps joined by landmarks of which half or more are not the same.
+    maps joined by landmarks of which half or more are not the same; in_touch: share of the steps after which all live
+    robots had one map, 1 without a limit of the radio's range.
     """
 
     collisions: int = 0
@@ -49,6 +54,7 @@ class LandmarkRunScore(RunScore):
     maps: int = 1
     met: int | None = None
     wrong_meetings: int = 0
+    in_touch: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +75,7 @@ class LandmarkRunRecord:
     submap_borders: tuple[tuple[int, int, np.ndarray], ...]  # (step, robot, corners (k, 2)) at each hand-over
     floor: FloorPlan | None = None
     maps: tuple[tuple[str, ...], ...] = ()
-    meetings: tuple[Meeting, ...] = ()
+    meetings: tuple[LandmarkMeeting, ...] = ()
 
 
 def with_noise(cfg: ExploreConfig, factor: float) -> ExploreConfig:
@@ -98,6 +104,8 @@ def explore_once(mission: LandmarkMission, seed: int, run: int = 0) -> tuple[Lan
         drop=mission.drop,
         until=mission.until,
         apart=mission.apart,
+        radio=mission.radio,
+        rendezvous=mission.cfg.mission.rendezvous,
     )
     first = team.observe_start()
     moments = tuple(team.play())
@@ -171,6 +179,7 @@ def score(team: Team, run: int, seed: int, moments: tuple[StepRecord, ...]) -> L
         hidden=len(team.world.landmarks) - len(team.wanted),
         maps=len(team.crews),
         met=max((m.step for m in team.meetings if m.joined), default=None),
+        in_touch=1.0 if np.isinf(team.radio) else team.together / max(team.step, 1),
         wrong_meetings=sum(m.joined and 2 * m.wrong >= m.links for m in team.meetings),
     )
 
@@ -201,7 +210,8 @@ class ExploreResult(ExplorationResult[LandmarkMission, LandmarkRunScore, Landmar
     @property
     def metrics(self) -> dict[str, Any]:
         """What metrics.json holds; only `timing` and `ms_per_decision` differ between equal runs."""
-        world = {"unknown_starts": self.mission.apart}
+        radio = self.mission.radio
+        world = {"unknown_starts": self.mission.apart, "radio_m": radio if np.isfinite(radio) else None}
         return self._settings(self.first.robots, world, {"association": self.mission.cfg.submap.association}) | {
             "left_out": self.left_out(),
             "maps": [list(robots) for robots in self.first.maps],
@@ -225,6 +235,9 @@ class ExploreResult(ExplorationResult[LandmarkMission, LandmarkRunScore, Landmar
             f"a run: {s['duplicates']:.2f} duplicates, {s['misassociations']:.2f} misassociations, "
             f"{s['missed']:.2f} landmarks missed; {s['ms_per_decision']:.2f} ms a decision"
         )
+        if np.isfinite(self.mission.radio):
+            touch = 100.0 * np.mean([r.in_touch for r in self.runs])
+            lines.append(f"radio of {self.mission.radio:g} m: all robots in touch in {touch:.0f} % of the steps")
         if self.mission.apart:
             one, wrong = sum(r.maps == 1 for r in self.runs), sum(r.wrong_meetings for r in self.runs)
             lines.append(f"all robots found each other in {one} of {len(self.runs)} runs, {wrong} times wrongly")

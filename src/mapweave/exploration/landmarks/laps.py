@@ -427,7 +427,8 @@ def revise(belief: LandmarkBelief, poses: np.ndarray) -> None:
     if not COVERAGE_REVISE_FROM <= belief.step < task.steps or belief.step % COVERAGE_REVISE_EVERY:
         return
     laps = tuple(
-        np.array(lap if alive else []).reshape(-1, 2) for lap, alive in zip(memory["laps"], belief.alive, strict=True)
+        np.array(lap if counts else []).reshape(-1, 2)
+        for lap, counts in zip(memory["laps"], belief.alive | belief.away, strict=True)
     )
     past = Past(
         np.stack(memory["trail"], axis=1),

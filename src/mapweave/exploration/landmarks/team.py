@@ -11,12 +11,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.sparse.csgraph import connected_components
 
 from ...core import se2
 from ...core.errors import DataError
 from ...core.se2 import wrap_angle
 from ...core.walls import Walls
-from ...fusion.handover import Handover, hand_over, join_maps
+from ...fusion.handover import PairingConfig, join_maps
 from ...fusion.identities import IdentityConfig, Match, match_maps, match_names
 from ...kernels.exploration.objective import map_uncertainty, mark_half_disc
 from ...kernels.walls.segments import Sector
@@ -27,12 +28,15 @@ from ...sim.landmarks import Field
 from ..planner_interface import query_planner
 from .belief import Explored, LandmarkBelief, Planner
 from .config import ExploreConfig
+from .crew import Handed, LandmarkCrew, parted, united
 from .floor_plan import FloorPlan, survey_floor
-from .steering import is_lost
+from .steering import is_lost, steer
 
 MEETING = IdentityConfig(scale_sigma=1e-3)  # two maps of one camera's ranges have one scale, but for rounding
 MEETING_ODDS = np.log(1000.0)  # against chance: a wrong meeting is what spoils all that comes after
 MEETING_RIVAL = np.log(10.0)  # against chance, from which on another alignment says that the place repeats itself
+RENDEZVOUS_REACHED = 3.0  # [m] from where all meet at which a robot waits
+RENDEZVOUS_PATIENCE = 100  # [steps] for which it waits: as long as a robot takes there from the paper's field's corner
 WALLS_CONTACT_STEPS = 40  # [steps] for which the place where a robot met a wall unexpectedly is kept clear of
 
 
@@ -80,57 +84,6 @@ class Bumper:
 
 
 @dataclass(slots=True)
-class MapTruth:
-    """Which landmarks are in a map, and of which true landmark how many sightings of each of its estimates were.
-
-    An estimate is of the landmark that most of its sightings were of: where two landmarks close together were exchanged
-    after a first sighting, it comes to lie on the other one.
-    """
-
-    safe: set[int] = field(default_factory=set)
-    sightings: dict[str, Counter[int]] = field(default_factory=dict)
-    misassociations: int = 0
-
-    @property
-    def source(self) -> dict[str, int]:
-        """Global landmark -> true landmark."""
-        return {name: _mostly(sightings) for name, sightings in self.sightings.items()}
-
-    def hand_over(self, origin: dict[str, Counter[int]], ids: tuple[str, ...], done: Handover) -> None:
-        """What a submap's landmarks `ids` were of is told of the map's; matches that are wrong are counted.
-
-        origin: submap landmark -> sightings. Wrong: a sighting of another landmark than most of its estimate's, and two
-        estimates made one that were not.
-        """
-        for local, name in zip(ids, done.names, strict=True):
-            sightings = origin.get(local)
-            if not sightings:
-                continue
-            self.misassociations += sightings.total() - max(sightings.values())
-            if name is not None:
-                self._join(name, sightings)
-        self._merge(done.merged)
-
-    def meet(self, other: "MapTruth", renamed: dict[str, str], merged: tuple[tuple[str, str], ...]) -> None:
-        """The other map, whose landmarks are called as `renamed` says, is part of this one; `merged`: kept, gone."""
-        self.safe |= other.safe
-        self.misassociations += other.misassociations
-        for name, sightings in other.sightings.items():
-            self._join(renamed[name], sightings)
-        self._merge(merged)
-
-    def _merge(self, merged: tuple[tuple[str, str], ...]) -> None:
-        for kept, gone in merged:
-            if gone in self.sightings:
-                self._join(kept, self.sightings.pop(gone))
-
-    def _join(self, name: str, sightings: Counter[int]) -> None:
-        known = self.sightings.setdefault(name, Counter())
-        self.misassociations += bool(known) and _mostly(known) != _mostly(sightings)
-        known.update(sightings)
-
-
-@dataclass(slots=True)
 class Truth:
     """What only the simulator and the score know: true poses (M, 3), and of each robot, for the submap that is not
     handed over yet, the landmarks seen in it and, submap landmark -> how many of its sightings were of which of them.
@@ -141,26 +94,7 @@ class Truth:
     origin: list[dict[str, Counter[int]]] = field(default_factory=list)
 
 
-@dataclass(slots=True, eq=False)
-class Crew:
-    """Robots that have one map and plan together. G: that map, its robots in the order of `robots`; lower, upper: (2,)
-    corners [m] in it of the field as they know it; memory: their planner's; truth: whose landmarks those of G are.
-    """
-
-    robots: Int[np.ndarray, " k"]
-    lower: Float[np.ndarray, "2"]
-    upper: Float[np.ndarray, "2"]
-    G: GlobalMap
-    explored: Explored
-    memory: dict[str, Any] = field(default_factory=dict)
-    truth: MapTruth = field(default_factory=MapTruth)
-
-    def at(self, j: int) -> int:
-        """Which of the crew's robots robot j is."""
-        return int(np.flatnonzero(self.robots == j)[0])
-
-
-class Meeting(NamedTuple):
+class LandmarkMeeting(NamedTuple):
     """The latest decision on two crews, named by their first robots, that did not know how their maps lie.
 
     links: landmarks found to be the same; odds: logarithm, for these links against chance, infinite where names told
@@ -199,6 +133,10 @@ class Team:
     those drive each for itself, in a frame that begins where it does and over as large a field around there, until
     their map is found to be of the same place as another's. crews: robots that share a map, by their first robot; the
     first one's map is the outcome; meetings: the decisions that joined two, and of other pairs the latest.
+
+    radio: range [m] within which two robots exchange what they know, directly or over others; the others have what they
+    last heard. The middle of their starts is where they meet again: a robot to which all is seen waits there for the
+    others, and all of them (`rendezvous` > 0) come there so many steps after they were last together.
     """
 
     world: Field
@@ -210,13 +148,15 @@ class Team:
     until: str | int = "landmarks"
     true_motion_sd: tuple[float, float, float] | None = None
     apart: bool = False
+    radio: float = np.inf
+    rendezvous: int = 0
     robots: tuple[str, ...] = ()
     submaps: list[Submap] = field(default_factory=list)
     ages: list[int] = field(default_factory=list)
     stalled: Any = None
     alive: Any = None
-    crews: list[Crew] = field(init=False)
-    meetings: list[Meeting] = field(default_factory=list)
+    crews: list[LandmarkCrew] = field(init=False)
+    meetings: list[LandmarkMeeting] = field(default_factory=list)
     truth: Truth = field(init=False)
     wanted: set[int] = field(init=False)  # landmarks somebody can see
     floor: FloorPlan | None = None
@@ -224,6 +164,7 @@ class Team:
     borders: list[tuple[int, int, np.ndarray]] = field(default_factory=list)
     finished: bool = False
     step: int = 0
+    together: int = 0  # steps at whose end all live robots had one map
 
     def __post_init__(self) -> None:
         M = len(self.world.starts)
@@ -252,11 +193,11 @@ class Team:
         lower: np.ndarray,
         upper: np.ndarray,
         outside: np.ndarray | None = None,
-    ) -> Crew:
+    ) -> LandmarkCrew:
         """A crew that knows its starts and nothing else yet."""
         G = known_starts(tuple(self.robots[j] for j in robots.tolist()), starts)
         explored = Explored.over(lower, upper, len(robots), self.cfg.mission.cell, outside)
-        return Crew(robots, lower, upper, G, explored)
+        return LandmarkCrew(robots, lower, upper, G, explored, np.ones(len(robots), dtype=bool))
 
     @property
     def G(self) -> GlobalMap:
@@ -273,41 +214,47 @@ class Team:
         """The memory of the planner of the first robot's crew."""
         return self.crews[0].memory
 
-    def crew_of(self, j: int) -> Crew:
+    def crew_of(self, j: int) -> LandmarkCrew:
         """The crew that robot j belongs to."""
-        return next(crew for crew in self.crews if j in crew.robots)
+        return next(crew for crew in self.crews if j in crew.members)
 
-    def poses(self, crew: Crew | None = None) -> Float[np.ndarray, "r 3"]:
+    def poses(self, crew: LandmarkCrew | None = None) -> Float[np.ndarray, "r 3"]:
         """Estimated poses of a crew's robots, the first one's without one, in its map."""
         crew = crew or self.crews[0]
         return np.stack([self._pose(crew, j) for j in crew.robots.tolist()])
 
-    def _pose(self, crew: Crew, j: int) -> Float[np.ndarray, "3"]:
-        return crew.G.pose_in_map(self.robots[j], self.submaps[j].pose)
+    def _pose(self, crew: LandmarkCrew, j: int) -> Float[np.ndarray, "3"]:
+        return crew.G.pose_in_map(self.robots[j], self._submap(crew, j).pose)
+
+    def _submap(self, crew: LandmarkCrew, j: int) -> Submap:
+        """What a crew knows of robot j's submap: nothing of one that is out of touch, but where it began."""
+        return self.submaps[j] if j in crew.members else empty(self.robots[j], self.submaps[j].frame)
 
     def _placed(self) -> Float[np.ndarray, "r 3"]:
         """Estimated poses of all robots in the map, NaN of those that are not known to be in it."""
         out = np.full((len(self.robots), 3), np.nan)
-        out[self.crews[0].robots] = self.poses()
+        present = self.crews[0].present
+        out[self.crews[0].members] = self.poses()[present]
         return out
 
-    def belief(self, crew: Crew | None = None) -> LandmarkBelief:
+    def belief(self, crew: LandmarkCrew | None = None) -> LandmarkBelief:
         """What the robots of a crew know, the first one's without one."""
         crew = crew or self.crews[0]
         own = crew.robots.tolist()
         return LandmarkBelief(
             step=self.step,
             robots=tuple(self.robots[j] for j in own),
-            alive=self.alive[own],
+            alive=self.alive[own] & crew.present,
             stalled=self.stalled[own],
             memory=crew.memory,
             lower=crew.lower,
             upper=crew.upper,
             explored=crew.explored,
-            submaps=tuple(self.submaps[j] for j in own),
+            submaps=tuple(self._submap(crew, j) for j in own),
             global_map=crew.G,
             floor=self.floor,
             contacts=self.bumper.places(),
+            away=~crew.present & (crew.waited <= RENDEZVOUS_PATIENCE),
         )
 
     def observe_start(self) -> StepRecord:
@@ -330,8 +277,9 @@ class Team:
                 self._drive(j, commands[j]) if self.alive[j] else _NO_SIGHTINGS for j in range(len(self.robots))
             )
             self.step += 1
+            self._exchange()
             handed = tuple(j for j in range(len(self.robots)) if self.alive[j] and self._due(j) and self._hand_over(j))
-            for j in handed:
+            for j in handed if self.apart else ():
                 self._meet(j)
             yield StepRecord(
                 self.step,
@@ -347,18 +295,21 @@ class Team:
         self.finished = self.reached()
         for j in map(int, np.flatnonzero(self.alive)):
             self._hand_over(j, surely=True)
-        for crew in self.crews[1:]:
-            self._meet(int(crew.robots[0]))
+        if self.apart:
+            for crew in self.crews[1:]:
+                self._meet(int(crew.robots[0]))
 
-    def seen(self, crew: Crew) -> set[int]:
+    def seen(self, crew: LandmarkCrew) -> set[int]:
         """The landmarks that a crew has seen and not lost."""
-        return crew.truth.safe.union(*(self.truth.pending[j] for j in crew.robots.tolist()))
+        return crew.truth.safe.union(*(self.truth.pending[j] for j in crew.members.tolist()))
 
     def reached(self) -> bool:
         """Whether the first crew's goal is reached: all landmarks seen, the field explored, or the steps done."""
         if isinstance(self.until, int):
             return self.step >= self.until
         seen = bool(self.explored.team().all()) if self.until == "field" else self.wanted <= self.seen(self.crews[0])
+        if self.until == "field" and self._waits(self.crews[0]):
+            return False
         return seen and self.step >= int(self.memory.get("go_on_until", 0))
 
     def _sweep_again(self) -> None:
@@ -368,8 +319,44 @@ class Team:
         """
         for crew in self.crews:
             lacks = self.until == "landmarks" and not self.wanted <= self.seen(crew)
-            if (lacks or crew is not self.crews[0]) and crew.explored.team().all():
+            alone = self.apart and crew is not self.crews[0]
+            if (lacks or alone) and crew.explored.team().all() and not self._waits(crew):
                 crew.explored.again()
+
+    def _waits(self, crew: LandmarkCrew) -> bool:
+        """Whether robots of a crew are to go where all meet: since all is seen, or they agreed to.
+
+        Not for ever: the others may be dead. Nor while a plan made together holds, whose laps end side by side.
+        """
+        if crew.present.all() or crew.waited > RENDEZVOUS_PATIENCE:
+            return False
+        since = max(crew.complete + self.rendezvous, int(crew.memory.get("go_on_until", 0)))
+        due = self.rendezvous > 0 and self.step >= since
+        return bool(due or crew.explored.team().all())
+
+    def _exchange(self) -> None:
+        """Robots within the radio's range of each other, directly or over others, have one map; those apart part."""
+        if np.isinf(self.radio):
+            return
+        live = np.flatnonzero(self.alive)
+        d = np.linalg.norm(self.truth.poses[live, None, :2] - self.truth.poses[None, live, :2], axis=-1)
+        _, part = connected_components(d <= self.radio, directed=False)
+        self.together += int(part.max(initial=0) == 0)
+        crews = []
+        for k in range(int(part.max(initial=-1)) + 1):
+            present = np.isin(np.arange(len(self.robots)), live[part == k])
+            before = [crew for crew in self.crews if (crew.present & present).any()]
+            if len(before) > 1:
+                crew = united(before, present, self._pairing)
+            elif (before[0].present & self.alive != present).any():
+                crew = parted(before[0], present)
+            else:
+                crew = before[0]
+                crew.present = present
+            if present[self.alive].all() and present.sum() > 1:
+                crew.complete = self.step
+            crews.append(crew)
+        self.crews = sorted(crews, key=lambda crew: int(crew.members[0])) or self.crews
 
     def _deaths(self) -> None:
         for j, when in self.kills.items():
@@ -377,6 +364,8 @@ class Team:
                 self.alive[j] = False
                 crew = self.crew_of(j)
                 crew.explored.lose(crew.at(j))
+                if not np.isinf(self.radio):
+                    crew.present = crew.present & (crew.robots != j)
                 self.truth.pending[j] = set()
                 self.truth.origin[j] = {}
 
@@ -384,9 +373,23 @@ class Team:
         limits = max(self.cfg.commands.speeds), max(abs(w) for w in self.cfg.commands.turns)
         out = np.zeros((len(self.robots), 2))
         for crew in self.crews:
-            if self.alive[crew.robots].any():
-                out[crew.robots] = query_planner(self.planner, self.belief(crew), self.poses(crew), self.cfg, limits)
+            if self.alive[crew.members].any():
+                belief, poses = self.belief(crew), self.poses(crew)
+                told = query_planner(self.planner, belief, poses, self.cfg, limits)
+                out[crew.members] = told[crew.present]
+                if self._waits(crew):
+                    self._gather(crew, belief, poses, out)
         return out
+
+    def _gather(self, crew: LandmarkCrew, belief: LandmarkBelief, poses: np.ndarray, out: np.ndarray) -> None:
+        """Robots of a crew go where all meet, and wait there; their rows of `out` become so."""
+        place = self.world.starts[:, :2].mean(axis=0)
+        near = True
+        for j in crew.members[self.alive[crew.members]].tolist():
+            there = np.hypot(*(poses[crew.at(j), :2] - place)) < RENDEZVOUS_REACHED
+            out[j] = 0.0 if there else steer(belief, poses[crew.at(j)], place, self.cfg)
+            near &= bool(there)
+        crew.waited += near
 
     def _drive(self, j: int, command: np.ndarray) -> Observations:
         """Robot j moves and looks; `command` becomes what was carried out, if a wall was in the way."""
@@ -455,19 +458,22 @@ class Team:
         crew, sub = self.crew_of(j), self.submaps[j]
         if crew is self.crews[0]:
             self.borders.append((self.step, j, _corners(crew.G, sub)))
-        done = hand_over(crew.G, sub, known=self._named, prefix="m", cfg=self.cfg.handover.pairing)
-        crew.truth.hand_over(self.truth.origin[j], sub.ids, done)
-        crew.G = done.map
+        handed = Handed(sub, self.truth.origin[j], frozenset(self.truth.pending[j]))
+        crew.hand_over(self.step, j, handed, self._pairing, keep=not np.isinf(self.radio))
         self.submaps[j] = empty(self.robots[j], sub.frame)
         self.ages[j] = 0
         crew.explored.fuse(crew.at(j))
-        crew.truth.safe |= self.truth.pending[j]
         self.truth.pending[j], self.truth.origin[j] = set(), {}
         return True
 
     @property
     def _named(self) -> bool:
         return self.cfg.submap.association == "known"
+
+    @property
+    def _pairing(self) -> PairingConfig | None:
+        """How landmarks are taken for one; None where their names tell."""
+        return None if self._named else self.cfg.handover.pairing
 
     def _meet(self, j: int) -> None:
         """Robot j's crew, whose map has grown, and any other of which that shows how it lies are one from now on."""
@@ -480,7 +486,7 @@ class Team:
             else:
                 return
 
-    def _tried_on(self, first: Crew, second: Crew) -> bool:
+    def _tried_on(self, first: LandmarkCrew, second: LandmarkCrew) -> bool:
         """Whether the two maps are found to be of one place; then the crews are one."""
         a, b = first.G.landmarks, second.G.landmarks
         match = match_names(b, a, MEETING) if self._named else match_maps(b, a, MEETING)
@@ -495,27 +501,22 @@ class Team:
         wrong = sum(one != two for one, two in whose)
         self.meetings = [m for m in self.meetings if m.joined or m.robots != robots]
         self.meetings.append(
-            Meeting(self.step, robots, joined, reason or "one place", len(match.links), match.evidence, wrong)
+            LandmarkMeeting(self.step, robots, joined, reason or "one place", len(match.links), match.evidence, wrong)
         )
         if joined:
             self._join(first, second, match)
         return joined
 
-    def _join(self, first: Crew, second: Crew, match: Match) -> None:
+    def _join(self, first: LandmarkCrew, second: LandmarkCrew, match: Match) -> None:
         """Two crews are one, in the first one's map, of whose landmarks `match` says which are the second's."""
-        pairing = None if self._named else self.cfg.handover.pairing
-        done = join_maps(first.G, second.G, match.links, match.T_target_source, prefix="m", cfg=pairing)
+        done = join_maps(first.G, second.G, match.links, match.T_target_source, prefix="m", cfg=self._pairing)
         renamed = dict(zip(second.G.ids, done.names, strict=True))
         first.truth.meet(second.truth, renamed, done.merged)
         explored = first.explored.joined(second.explored, done.T_map_other)
         robots = np.concatenate([first.robots, second.robots])
-        crew = Crew(robots, first.lower, first.upper, done.map, explored, truth=first.truth)
+        everyone = np.ones(len(robots), dtype=bool)
+        crew = LandmarkCrew(robots, first.lower, first.upper, done.map, explored, everyone, truth=first.truth)
         self.crews = [crew if c is first else c for c in self.crews if c is not second]
-
-
-def _mostly(sightings: Counter[int]) -> int:
-    """The landmark that most sightings were of, of several the one seen first."""
-    return max(sightings, key=sightings.__getitem__)
 
 
 def _corners(G: GlobalMap, L: Submap) -> np.ndarray:
