@@ -146,6 +146,7 @@ TABLES = (
     Table("among walls", EXPLORE, bench("exploration", "--table", "walls"), "stdout"),
     Table("unknown starts among landmarks", EXPLORE, bench("exploration", "--table", "starts"), "stdout"),
     Table("radio among landmarks", EXPLORE, bench("exploration", "--table", "radio"), "stdout"),
+    Table("kidnapped among landmarks", EXPLORE, bench("exploration", "--table", "kidnapped"), "stdout"),
     Table("submaps", EXPLORE, bench("exploration", "--table", "submaps"), "stdout"),
     Table("planning alone", EXPLORE, bench("exploration_planning"), "stdout"),
 )

@@ -1,7 +1,7 @@
 """What exploration costs and what it brings: decision times, runs, submaps against one big filter, planners, teams.
 
 python benchmarks/exploration.py [--quick] [--jobs 2] [--out exploration.json]
-python benchmarks/exploration.py --table submaps|walls|starts|radio      # a table of the documentation, alone
+python benchmarks/exploration.py --table submaps|walls|starts|radio|kidnapped      # a table of the documentation, alone
 """
 
 import argparse
@@ -55,6 +55,10 @@ UNKNOWN_STARTS = (  # planner, robots, association, whether they start anywhere
     ("coverage", 2, "jcbb", False), ("paper", 2, "jcbb", True), ("paper", 4, "jcbb", True),
 )  # fmt: skip
 UNSEEN = range(500, 520)  # seeds on which nothing was chosen
+KIDNAPPED = (  # planner, robots, association, which is carried away, at which step
+    ("paper", 2, "jcbb", 1, 100), ("paper", 2, "known", 1, 100), ("paper", 2, "jcbb", 0, 100),
+    ("paper", 1, "jcbb", 0, 150), ("paper", 4, "jcbb", 2, 60), ("coverage", 2, "jcbb", 1, 100),
+)  # fmt: skip
 RADIO = (  # planner, robots, range [m]
     *(("paper", 2, m) for m in (np.inf, 40.0, 20.0)), *(("paper", 4, m) for m in (np.inf, 40.0, 20.0)),
     *(("coverage", 2, m) for m in (np.inf, 40.0, 20.0)),
@@ -126,6 +130,30 @@ def print_radio() -> None:
                 f"{np.mean([r.nees_per_dof for r in runs]):.2f}",
             )
             print(f"| {' | '.join(map(str, cells))} |", flush=True)
+
+
+def print_kidnapped() -> None:
+    head = ("planner", "robots", "identities", "carried", "finished", "found again", "after steps", "wrongly", "steps")
+    print(f"| {' | '.join((*head, 'map error', 'NEES/dof'))} |\n{'|---' * (len(head) + 2)}|")
+    for planner, robots, association, who, step in KIDNAPPED:
+        cfg = with_noise(ExploreConfig(submap=SubmapConfig(association=association)), CALIBRATED)
+        task = LandmarkMission(find_scenario("yuan"), robots, planner, "landmarks", cfg=cfg, kidnaps={who: step})
+        runs, records = zip(*(explore_once(task, seed) for seed in UNSEEN), strict=True)
+        after = [told.back - told.step for r in records for told in r.carried if told.back is not None]
+        cells = (
+            f"`{planner}`",
+            robots,
+            "known" if association == "known" else "unknown",
+            f"robot {who + 1} at step {step}",
+            f"{sum(r.finished for r in runs)} of {len(runs)}",
+            len(after),
+            f"{min(after)} / {np.median(after):.0f} / {max(after)}",
+            sum(r.wrong_meetings for r in runs),
+            f"{np.mean([r.steps for r in runs]):.0f}",
+            f"{np.mean([r.map_error for r in runs]):.3f} m",
+            f"{np.mean([r.nees_per_dof for r in runs]):.2f}",
+        )
+        print(f"| {' | '.join(map(str, cells))} |", flush=True)
 
 
 def with_starts(
@@ -355,7 +383,13 @@ def compiled(P: np.ndarray, marks: np.ndarray, script: list, u: np.ndarray, cfg:
     return time.process_time() - begun
 
 
-TABLES = {"submaps": print_submaps, "walls": print_walls, "starts": print_starts, "radio": print_radio}
+TABLES = {
+    "submaps": print_submaps,
+    "walls": print_walls,
+    "starts": print_starts,
+    "radio": print_radio,
+    "kidnapped": print_kidnapped,
+}
 
 
 def mission(

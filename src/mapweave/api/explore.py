@@ -51,13 +51,22 @@ LARGEST = 1e9  # no length, count or weight of an exploration is beyond
 
 def parse_kills(text: list[str] | None) -> dict[str, int]:
     """`robot2@100` -> {"robot2": 100}."""
+    return _steps_of("--kill", text, "die")
+
+
+def parse_kidnaps(text: list[str] | None) -> dict[str, int]:
+    """`robot2@100` -> {"robot2": 100}."""
+    return _steps_of("--kidnap", text, "be carried away")
+
+
+def _steps_of(option: str, text: list[str] | None, what: str) -> dict[str, int]:
     out: dict[str, int] = {}
     for word in text or []:
         name, at, step = word.partition("@")
         if not at or not step.isdecimal():
-            raise UsageError(f"--kill: expected robotK@STEP, found {word!r}")
+            raise UsageError(f"{option}: expected robotK@STEP, found {word!r}")
         if name in out:
-            raise UsageError(f"--kill: {name} can die but once, found {name}@{out[name]} and {word}")
+            raise UsageError(f"{option}: {name} can {what} but once, found {name}@{out[name]} and {word}")
         out[name] = int(step)
     return out
 
@@ -80,6 +89,7 @@ class ExploreOptions:
     drop: float
     unknown_starts: bool
     radio: float | None
+    kidnap: Mapping[str, int] | None
     config: AnyConfig | None
     jobs: int
     executor: Executor | None
@@ -173,12 +183,12 @@ def _numbers(value: object, key: str) -> Iterator[tuple[str, float]]:
         yield key, value
 
 
-def kills_of(kill: Mapping[str, int], robots: int) -> dict[int, int]:
-    """The step at which each robot dies, by number from 0; a name that no robot has is refused."""
+def kills_of(kill: Mapping[str, int], robots: int, option: str = "--kill") -> dict[int, int]:
+    """The step at which each robot dies, by number from 0; a name that no robot has is refused, by the `option`."""
     names = {f"robot{k + 1}": k for k in range(robots)}
     for name in kill:
         if name not in names:
-            raise UsageError(f"--kill: no robot is called {name!r}; there are {', '.join(names)}")
+            raise UsageError(f"{option}: no robot is called {name!r}; there are {', '.join(names)}")
     return {names[name]: step for name, step in kill.items()}
 
 
@@ -229,6 +239,8 @@ def explore_laser(name: str, scenario: LaserScenarioConfig, options: ExploreOpti
         raise UsageError("--association: a laser world has no landmarks whose identities could be known or not")
     if options.radio is not None:
         raise UsageError("--radio: robots with lasers always hear each other; give a landmark world")
+    if options.kidnap:
+        raise UsageError("--kidnap: robots with lasers are not carried away; give a landmark world")
     planner = "coverage" if options.planner is None else options.planner
     factor = _factor(options.noise)
     cfg = load(LaserMissionConfig, options.config, positive=LASER_POSITIVE)
@@ -345,6 +357,7 @@ def explore(
     drop: float = 0.0,
     unknown_starts: bool = False,
     radio: float | None = None,
+    kidnap: Mapping[str, int] | None = None,
     config: AnyConfig | None = None,
     jobs: int = 1,
     force: bool = False,
@@ -386,6 +399,8 @@ def explore(
         another's (False).
     radio
         Within which distance [m] of each other, or over others, robots exchange what they know, among landmarks (any).
+    kidnap
+        Robot name -> step at whose start it is lifted and set down anywhere in the field, among landmarks (none).
     config
         Settings as `configuration("explore")` prints them: a TOML file, its tables as mappings, or an object of
         a configuration class; options here win.
@@ -428,6 +443,7 @@ def explore(
         drop=drop,
         unknown_starts=unknown_starts,
         radio=radio,
+        kidnap=kidnap,
         config=config,
         jobs=jobs,
         executor=executor,
@@ -458,13 +474,16 @@ def _among_landmarks(scenario: str, options: ExploreOptions) -> LandmarkExplorat
     world = make_field(place, options.robots, options.seed)
     if options.unknown_starts and options.radio is not None:
         raise UsageError("--radio: robots that part have to know where all start; give it without --unknown-starts")
+    if options.kidnap and (options.radio is not None or world.walls is not None):
+        raise UsageError("--kidnap: a robot that was carried finds back by landmarks alone; no --radio, no walls")
     if options.unknown_starts and world.walls is not None:
         raise UsageError("--unknown-starts: robots among walls are given the plan of them and where they stand in it")
     check_rasters(place, len(world.starts), cfg)
     until, kills = end_of(options.until, "landmarks", "field"), kills_of(options.kill or {}, len(world.starts))
+    kidnaps = kills_of(options.kidnap or {}, len(world.starts), "--kidnap")
     radio = np.inf if options.radio is None else options.radio
     mission = LandmarkMission(
-        place, options.robots, planner, until, kills, options.drop, cfg, options.unknown_starts, radio
+        place, options.robots, planner, until, kills, options.drop, cfg, options.unknown_starts, radio, kidnaps
     )
     find_planner(planner, "landmarks")
     return options.explore(

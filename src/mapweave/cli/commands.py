@@ -412,6 +412,11 @@ COMMANDS: dict[str, Command | dict[str, Command]] = {
                 parse="api.explore:parse_kills",
                 help="A robot that dies, and the step at which it does, as robot2@100.",
             ),
+            "kidnap": Option(
+                kind=Words,
+                parse="api.explore:parse_kidnaps",
+                help="A robot that is carried away, and the step at which it is, as robot2@100.",
+            ),
         },
         before=_own_planner,
     ),

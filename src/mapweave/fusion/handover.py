@@ -368,16 +368,23 @@ def join_maps(
         last, T = T, both.frames[-1]
         if np.abs(T - last).max() < CONVERGED:
             break
-    k, rows = len(both.robots) - 1, np.arange(len(both.cov))
-    rows = rows[(rows < 3 * k) | (rows >= 3 * k + 3)]
+    both = without_frames(both, [len(both.robots) - 1])
     kept = (*G.ids, *(name for name in names if name not in G.ids))
     renamed = dict(zip(other.ids, names, strict=True))
     apart = G.apart | {ordered_pair(renamed[a], renamed[b]) for a, b in other.apart}
-    out = GlobalMap(both.robots[:k], both.frames[:k], kept, both.mean, owned(both.cov[np.ix_(rows, rows)]), apart)
+    out = replace(both, ids=kept, apart=apart)
     merged: tuple[tuple[str, str], ...] = ()
     if cfg is not None:
         out, merged = merge_duplicates(out, cfg)
     return JoinedMaps(out, tuple(names), T, merged)
+
+
+def without_frames(G: GlobalMap, gone: list[int]) -> GlobalMap:
+    """`G` with the frames numbered `gone` marginalised away."""
+    k = np.setdiff1d(np.arange(len(G.robots)), gone)
+    rows = np.concatenate([(3 * k[:, None] + np.arange(3)).ravel(), np.arange(3 * len(G.robots), len(G.cov))])
+    robots = tuple(G.robots[i] for i in k)
+    return GlobalMap(robots, G.frames[k], G.ids, G.mean, owned(G.cov[np.ix_(rows, rows)]), G.apart)
 
 
 def _side_by_side(G: GlobalMap, other: GlobalMap, T: Float[np.ndarray, "3"]) -> GlobalMap:

@@ -13,9 +13,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ...fusion.handover import Handover, PairingConfig, hand_over
+from ...fusion.handover import Handover, PairingConfig, hand_over, without_frames
 from ...landmarks.landmark_map import GlobalMap, Submap
 from .belief import Explored
+
+
+@dataclass(slots=True)
+class Carried:
+    """A robot that was carried away at `step`; back: the step when it was found in the map, None where it was not."""
+
+    robot: str
+    step: int
+    back: int | None = None
 
 
 class Handed(NamedTuple):
@@ -111,6 +120,15 @@ class LandmarkCrew:
     def at(self, j: int) -> int:
         """Which of the crew's robots robot j is."""
         return int(np.flatnonzero(self.robots == j)[0])
+
+    def leave(self, gone: list[int]) -> None:
+        """Robots that have another map now are none of this one's any more; what they saw for it stays."""
+        keep = ~np.isin(self.robots, gone)
+        self.G = without_frames(self.G, [k for k, kept in enumerate(keep) if not kept])
+        ex = self.explored
+        ex.fused |= ex.pending[~keep].any(axis=0)
+        ex.pending, ex.backlog = ex.pending[keep], ex.backlog[keep]
+        self.robots, self.present = self.robots[keep], self.present[keep]
 
     def hand_over(self, step: int, j: int, handed: Handed, pairing: PairingConfig | None, *, keep: bool) -> None:
         """Robot j's submap joins the map. pairing: None where identities are known; keep: for meetings to come."""

@@ -15,6 +15,7 @@ from ...sim.landmarks import Field
 from ..mission import ExplorationResult, Mission, RunScore, run_seeds
 from ..planner_interface import find_planner, is_built_in
 from .config import ExploreConfig, ScenarioConfig, make_field
+from .crew import Carried
 from .floor_plan import FloorPlan
 from .team import LandmarkMeeting, StepRecord, Team
 
@@ -26,7 +27,8 @@ CALIBRATED = 0.05  # the factor on them with which the paper's table comes out
 class LandmarkMission(Mission[ScenarioConfig, ExploreConfig]):
     """One experiment's settings in a landmark world.
 
-    apart: no robot knows where the others start; radio: [m] within which robots exchange what they know.
+    apart: no robot knows where the others start; radio: [m] within which robots exchange what they know; kidnaps: robot
+    index -> step at whose start it is carried away.
     """
 
     robots: int | None = None
@@ -37,6 +39,7 @@ class LandmarkMission(Mission[ScenarioConfig, ExploreConfig]):
     cfg: ExploreConfig = field(default_factory=ExploreConfig)
     apart: bool = False
     radio: float = np.inf
+    kidnaps: Mapping[int, int] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +64,8 @@ class LandmarkRunScore(RunScore):
 class LandmarkRunRecord:
     """What one run did, for figures and logs: its world, every moment, the final map and who is who in it.
 
-    maps: the robots of each map there was in the end, the map's own first; meetings: those that joined two, and of
-    others the latest decision.
+    maps: the robots that have each map there was in the end, this one first; meetings: those that joined two, and of
+    others the latest decision; carried: what became of robots that were carried away.
     """
 
     world: Field
@@ -76,6 +79,7 @@ class LandmarkRunRecord:
     floor: FloorPlan | None = None
     maps: tuple[tuple[str, ...], ...] = ()
     meetings: tuple[LandmarkMeeting, ...] = ()
+    carried: tuple[Carried, ...] = ()
 
 
 def with_noise(cfg: ExploreConfig, factor: float) -> ExploreConfig:
@@ -105,6 +109,7 @@ def explore_once(mission: LandmarkMission, seed: int, run: int = 0) -> tuple[Lan
         until=mission.until,
         apart=mission.apart,
         radio=mission.radio,
+        kidnaps=dict(mission.kidnaps or {}),
         rendezvous=mission.cfg.mission.rendezvous,
     )
     first = team.observe_start()
@@ -119,8 +124,9 @@ def explore_once(mission: LandmarkMission, seed: int, run: int = 0) -> tuple[Lan
         mission.cfg.submap.period,
         tuple(team.borders),
         team.floor,
-        tuple(crew.G.robots for crew in team.crews),
+        tuple(tuple(team.robots[j] for j in crew.members) for crew in team.crews),
         tuple(team.meetings),
+        tuple(team.carried),
     )
     return score(team, run, seed, moments), record
 
@@ -219,6 +225,7 @@ class ExploreResult(ExplorationResult[LandmarkMission, LandmarkRunScore, Landmar
                 m._asdict() | {"robots": list(m.robots), "odds": m.odds if np.isfinite(m.odds) else None}
                 for m in self.first.meetings
             ],
+            "kidnapped": [asdict(told) for told in self.first.carried],
             "runs": [asdict(r) for r in self.runs],
         }
 
@@ -235,6 +242,9 @@ class ExploreResult(ExplorationResult[LandmarkMission, LandmarkRunScore, Landmar
             f"a run: {s['duplicates']:.2f} duplicates, {s['misassociations']:.2f} misassociations, "
             f"{s['missed']:.2f} landmarks missed; {s['ms_per_decision']:.2f} ms a decision"
         )
+        for told in self.first.carried:
+            back = "and never found in the map again" if told.back is None else f"found in the map at step {told.back}"
+            lines.append(f"{told.robot}: carried away at step {told.step}, {back} (seed {self.seed})")
         if np.isfinite(self.mission.radio):
             touch = 100.0 * np.mean([r.in_touch for r in self.runs])
             lines.append(f"radio of {self.mission.radio:g} m: all robots in touch in {touch:.0f} % of the steps")

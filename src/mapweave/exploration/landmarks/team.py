@@ -28,7 +28,7 @@ from ...sim.landmarks import Field
 from ..planner_interface import query_planner
 from .belief import Explored, LandmarkBelief, Planner
 from .config import ExploreConfig
-from .crew import Handed, LandmarkCrew, parted, united
+from .crew import Carried, Handed, LandmarkCrew, parted, united
 from .floor_plan import FloorPlan, survey_floor
 from .steering import is_lost, steer
 
@@ -137,6 +137,10 @@ class Team:
     radio: range [m] within which two robots exchange what they know, directly or over others; the others have what they
     last heard. The middle of their starts is where they meet again: a robot to which all is seen waits there for the
     others, and all of them (`rendezvous` > 0) come there so many steps after they were last together.
+
+    kidnaps: robot index -> step at whose start it is lifted and set down anywhere in the field. Its wheels hang in the
+    air meanwhile: it knows that it was carried, not where to, and is a crew of its own, as if nobody had told it where
+    it begins, until its map is found to be of the same place. carried: what came of it.
     """
 
     world: Field
@@ -150,6 +154,7 @@ class Team:
     apart: bool = False
     radio: float = np.inf
     rendezvous: int = 0
+    kidnaps: dict[int, int] = field(default_factory=dict)
     robots: tuple[str, ...] = ()
     submaps: list[Submap] = field(default_factory=list)
     ages: list[int] = field(default_factory=list)
@@ -164,6 +169,7 @@ class Team:
     borders: list[tuple[int, int, np.ndarray]] = field(default_factory=list)
     finished: bool = False
     step: int = 0
+    carried: list[Carried] = field(default_factory=list)
     together: int = 0  # steps at whose end all live robots had one map
 
     def __post_init__(self) -> None:
@@ -254,7 +260,7 @@ class Team:
             global_map=crew.G,
             floor=self.floor,
             contacts=self.bumper.places(),
-            away=~crew.present & (crew.waited <= RENDEZVOUS_PATIENCE),
+            away=~crew.present & (crew.waited <= RENDEZVOUS_PATIENCE) & np.isfinite(self.radio),
         )
 
     def observe_start(self) -> StepRecord:
@@ -268,6 +274,7 @@ class Team:
         """Steps until the goal, every robot's death or `max_steps`; then the submaps left are handed over."""
         while not self.reached() and self.step < self.cfg.mission.max_steps and self.alive.any():
             self._deaths()
+            self._kidnap()
             self._sweep_again()
             before = perf_counter()
             commands = self._commands()
@@ -279,7 +286,7 @@ class Team:
             self.step += 1
             self._exchange()
             handed = tuple(j for j in range(len(self.robots)) if self.alive[j] and self._due(j) and self._hand_over(j))
-            for j in handed if self.apart else ():
+            for j in handed if np.isinf(self.radio) else ():
                 self._meet(j)
             yield StepRecord(
                 self.step,
@@ -295,9 +302,9 @@ class Team:
         self.finished = self.reached()
         for j in map(int, np.flatnonzero(self.alive)):
             self._hand_over(j, surely=True)
-        if self.apart:
-            for crew in self.crews[1:]:
-                self._meet(int(crew.robots[0]))
+        if np.isinf(self.radio):
+            for j in map(int, np.flatnonzero(self.alive)):
+                self._meet(j)
 
     def seen(self, crew: LandmarkCrew) -> set[int]:
         """The landmarks that a crew has seen and not lost."""
@@ -319,7 +326,7 @@ class Team:
         """
         for crew in self.crews:
             lacks = self.until == "landmarks" and not self.wanted <= self.seen(crew)
-            alone = self.apart and crew is not self.crews[0]
+            alone = np.isinf(self.radio) and crew is not self.crews[0]
             if (lacks or alone) and crew.explored.team().all() and not self._waits(crew):
                 crew.explored.again()
 
@@ -328,7 +335,7 @@ class Team:
 
         Not for ever: the others may be dead. Nor while a plan made together holds, whose laps end side by side.
         """
-        if crew.present.all() or crew.waited > RENDEZVOUS_PATIENCE:
+        if np.isinf(self.radio) or crew.present.all() or crew.waited > RENDEZVOUS_PATIENCE:
             return False
         since = max(crew.complete + self.rendezvous, int(crew.memory.get("go_on_until", 0)))
         due = self.rendezvous > 0 and self.step >= since
@@ -368,6 +375,18 @@ class Team:
                     crew.present = crew.present & (crew.robots != j)
                 self.truth.pending[j] = set()
                 self.truth.origin[j] = {}
+
+    def _kidnap(self) -> None:
+        """Robots whose time it is hand over what they have, are set down elsewhere, and begin anew, each by itself."""
+        half = 0.5 * (np.asarray(self.world.upper, float) - self.world.lower)
+        for j in [j for j, when in self.kidnaps.items() if when == self.step and self.alive[j]]:
+            self._hand_over(j, surely=True)
+            place = self.rng.uniform(self.world.lower, self.world.upper)
+            self.truth.poses[j] = [*place, self.rng.uniform(-np.pi, np.pi)]
+            crew = self.crew_of(j)
+            crew.present = crew.present & (crew.robots != j)
+            self.crews.append(self._crew(np.array([j]), np.zeros((1, 3)), -half, half))
+            self.carried.append(Carried(self.robots[j], self.step))
 
     def _commands(self) -> Float[np.ndarray, "r 2"]:
         limits = max(self.cfg.commands.speeds), max(abs(w) for w in self.cfg.commands.turns)
@@ -509,14 +528,19 @@ class Team:
 
     def _join(self, first: LandmarkCrew, second: LandmarkCrew, match: Match) -> None:
         """Two crews are one, in the first one's map, of whose landmarks `match` says which are the second's."""
+        for crew, other in ((first, second), (second, first)):
+            crew.leave([int(j) for j in crew.robots[~crew.present] if j in other.members])
         done = join_maps(first.G, second.G, match.links, match.T_target_source, prefix="m", cfg=self._pairing)
         renamed = dict(zip(second.G.ids, done.names, strict=True))
         first.truth.meet(second.truth, renamed, done.merged)
         explored = first.explored.joined(second.explored, done.T_map_other)
         robots = np.concatenate([first.robots, second.robots])
-        everyone = np.ones(len(robots), dtype=bool)
-        crew = LandmarkCrew(robots, first.lower, first.upper, done.map, explored, everyone, truth=first.truth)
+        present = np.concatenate([first.present, second.present])
+        crew = LandmarkCrew(robots, first.lower, first.upper, done.map, explored, present, truth=first.truth)
         self.crews = [crew if c is first else c for c in self.crews if c is not second]
+        for told in self.carried if crew is self.crews[0] else ():
+            if told.back is None and told.robot in (self.robots[j] for j in crew.members):
+                told.back = self.step
 
 
 def _corners(G: GlobalMap, L: Submap) -> np.ndarray:
