@@ -110,6 +110,12 @@ def test_of_a_robot_that_died_out_of_touch_nobody_waits_for_ever(until):
     assert waiting <= 2 * RENDEZVOUS_PATIENCE + 2
 
 
+def test_when_all_robots_die_the_run_ends():
+    score, record = explore_once(mission(kills={0: 3, 1: 3}), 5)
+    assert not score.finished
+    assert record.moments[-1].step == 4
+
+
 def test_where_a_rendezvous_is_agreed_robots_come_back_to_it():
     cfg = replace(KNOWN, mission=MissionConfig(rendezvous=40))
     _, record = explore_once(mission(radio=8.0, cfg=cfg, until=200), 7)

@@ -343,14 +343,14 @@ class Team:
 
     def _exchange(self) -> None:
         """Robots within the radio's range of each other, directly or over others, have one map; those apart part."""
-        if np.isinf(self.radio):
-            return
         live = np.flatnonzero(self.alive)
+        if np.isinf(self.radio) or not len(live):
+            return
         d = np.linalg.norm(self.truth.poses[live, None, :2] - self.truth.poses[None, live, :2], axis=-1)
         _, part = connected_components(d <= self.radio, directed=False)
-        self.together += int(part.max(initial=0) == 0)
+        self.together += int(part.max() == 0)
         crews = []
-        for k in range(int(part.max(initial=-1)) + 1):
+        for k in range(int(part.max()) + 1):
             present = np.isin(np.arange(len(self.robots)), live[part == k])
             before = [crew for crew in self.crews if (crew.present & present).any()]
             if len(before) > 1:
@@ -363,7 +363,7 @@ class Team:
             if present[self.alive].all() and present.sum() > 1:
                 crew.complete = self.step
             crews.append(crew)
-        self.crews = sorted(crews, key=lambda crew: int(crew.members[0])) or self.crews
+        self.crews = sorted(crews, key=lambda crew: int(crew.members[0]))
 
     def _deaths(self) -> None:
         for j, when in self.kills.items():
