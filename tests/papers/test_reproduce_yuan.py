@@ -157,6 +157,7 @@ def test_quick_runs_the_rows_of_table_1_whole_and_every_planner_with_a_constant_
     for key, case in quick.items():
         assert replace(case, share=whole[key].share) == whole[key]
         judged = key[0] == "table1" and (case.share == 1.0 or ", nn" in key[1])  # fewer runs change the verdict
+        judged |= key[0] == "ablation" and "escape" not in key[1]
         assert case.share == whole[key].share if judged else case.share < whole[key].share
     for robots in ("two robots", "one robot"):
         assert quick["table1", f"{robots}, calibrated noise"].share == 1.0
