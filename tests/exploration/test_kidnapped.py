@@ -81,5 +81,6 @@ def test_kidnaps_are_told_and_those_that_cannot_be_are_refused(tmp_path):
             explore(scenario, until=1, **options)
     result = explore("yuan", tmp_path / "out", kidnap={"robot2": 4}, until=8)
     assert "robot2: carried away at step 4, and never found in the map again (seed 0)" in result.lines()
+    assert "carried away at step 4, and never found" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     told = json.loads((tmp_path / "out" / "metrics.json").read_text())["kidnapped"]
     assert told == [{"robot": "robot2", "step": 4, "back": None}]

@@ -67,6 +67,7 @@ def test_landmarks_on_a_lattice_join_nobody_and_that_is_told(tmp_path):
     (told,) = result.runs
     assert (told.maps, told.met) == (2, None)
     assert "robot2: not found in the map of robot1, nor is what they mapped" in result.lines()
+    assert "not found in the map of robot1" in (out / "report.html").read_text(encoding="utf-8")
     metrics = json.loads((out / "metrics.json").read_text())
     assert metrics["unknown_starts"] is True
     assert metrics["maps"] == [["robot1"], ["robot2"]]

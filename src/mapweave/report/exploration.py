@@ -162,6 +162,8 @@ def write_exploration(folder: Path, result: ExploreResult) -> None:
     scene = landmark_scene(first, m.cfg)
     caption = "What was seen when, where the robots truly were, and the map."
     page.scene(scene, caption, folder / "figures" / "map.png")
+    for line in result.lines_on_team():
+        page.text(f"{line[0].upper()}{line[1:]}.")
     page.figure(folder / "figures" / "explored.png", "When each cell was first seen; lines: the frontier at quarters")
     every = "; steps and errors of all runs" if len(result.runs) > 1 else ""
     page.figure(folder / "figures" / "progress.png", f"Explored share of the field{every}")

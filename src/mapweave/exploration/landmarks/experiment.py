@@ -242,6 +242,11 @@ class ExploreResult(ExplorationResult[LandmarkMission, LandmarkRunScore, Landmar
             f"a run: {s['duplicates']:.2f} duplicates, {s['misassociations']:.2f} misassociations, "
             f"{s['missed']:.2f} landmarks missed; {s['ms_per_decision']:.2f} ms a decision"
         )
+        return lines + self.lines_on_team() + self.lines_on_walls()
+
+    def lines_on_team(self) -> list[str]:
+        """How robots met that were not told of each other, were out of touch, or were carried away."""
+        lines = []
         for told in self.first.carried:
             back = "and never found in the map again" if told.back is None else f"found in the map at step {told.back}"
             lines.append(f"{told.robot}: carried away at step {told.step}, {back} (seed {self.seed})")
@@ -255,7 +260,7 @@ class ExploreResult(ExplorationResult[LandmarkMission, LandmarkRunScore, Landmar
                 f"{', '.join(robots)}: not found in the map of {self.first.robots[0]}, nor is what they mapped"
                 for robots in self.first.maps[1:]
             ]
-        return lines + self.lines_on_walls()
+        return lines
 
     def lines_on_walls(self) -> list[str]:
         out = self.left_out()
