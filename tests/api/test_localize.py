@@ -220,7 +220,7 @@ def test_a_robot_is_found_in_the_floor_that_another_program_mapped(data, tmp_pat
     assert found.found_t is not None
     pose = se2.interpolate(found.track.t, own.t, own.pose)[:, :2]
     off = se2.act(se2.align(pose, found.track.pose[:, :2]), pose) - found.track.pose[:, :2]
-    assert np.sqrt((off**2).sum(axis=1).mean()) < 0.05
+    assert np.sqrt((off**2).sum(axis=1).mean()) < 0.025
 
 
 def test_a_start_may_begin_with_a_minus(world, capsys):

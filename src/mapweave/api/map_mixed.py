@@ -36,6 +36,7 @@ from ..landmarks.mapping import local_map, without_impossible
 from ..laser.beam import beams
 from ..laser.laser_map import GridMap, LaserMap
 from ..laser.occupancy_mapper import render
+from ..laser.sweep import swept_by_wheels
 from ..mapping.config import LaserConfig
 from ..mapping.laser_mapping import map_laser
 from ..report.html import told_list
@@ -484,7 +485,7 @@ def _grid(team: TeamMap, scans: Mapping[str, LaserLog], mixed: MixedMap, cfg: La
     for robot in team.robots:
         if robot not in scans:
             continue
-        log, track = scans[robot], team.tracks[robot]
+        log, track = swept_by_wheels(scans[robot], cfg.beam, cfg.front_end), team.tracks[robot]
         clock = mixed.clocks[robot].ahead if robot in mixed.clocks else 0.0
         at = np.clip(np.searchsorted(track.t, log.scan_t - clock - 1e-6), 0, len(track.t) - 1)
         seen += [beams(scan, "none", None, cfg.beam) for scan in log.scans]

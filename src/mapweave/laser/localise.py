@@ -29,6 +29,7 @@ from .localise_filter import (
 )
 from .localise_trust import LEAST_OCCUPANCY, TRUST_SCANS, Evidence, LocalisedScan, evidence
 from .scan_odometry import ScanInfo, ScanOdometry, blended
+from .sweep import swept_by_wheels
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,6 +209,7 @@ def localise(
     map without, is followed by geometry alone. Raises DataError where the map has no free place or no walls.
     """
     began = perf_counter()
+    log = swept_by_wheels(log, cfg.beam, cfg.front_end)
     findings = list(log.findings)
     if feature != "none" and (not log.has_intensity or calibration is None):
         feature = "none"

@@ -66,6 +66,18 @@ def sweep_of(log: LaserLog, beam: BeamConfig, front_end: FrontEndConfig) -> floa
     return log.sweep * float(np.sign(more.sum())) if sure else 0.0
 
 
+def swept_by_wheels(log: LaserLog, beam: BeamConfig, front_end: FrontEndConfig) -> LaserLog:
+    """The log with each scan's motion as its wheels have it, of a scanner that takes its time; as it is without."""
+    sweep = sweep_of(log, beam, front_end)
+    wheels = [scan.odometry for scan in log.scans]
+    if sweep == 0.0 or any(pose is None for pose in wheels):
+        return log
+    at = np.array(wheels, dtype=float)
+    step, since = se2.between(at[:-1], at[1:]), np.diff(log.scan_t)
+    rest = (swept(*row, sweep) for row in zip(log.scans[1:], step, since.tolist(), strict=True))
+    return replace(log, scans=(log.scans[0], *rest))
+
+
 def _turning(log: LaserLog) -> range:
     """The stretch of scans in which what is seen changes most: there the robot turns."""
     n = len(log.scans)
