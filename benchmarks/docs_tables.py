@@ -55,6 +55,7 @@ TABLES = (
     Table("beside gtsam", "docs/landmark-mapping.md", bench("beside_gtsam"), "stdout"),
     Table("mutants", "docs/contributing.md", bench("mutants", "--quick", "--n", "6", "--seed", "23", "--page"), "page"),
     Table("changes", "docs/laser-teams.md", bench("changes"), "stdout"),
+    Table("scanners that turn", "docs/laser.md", bench("sweep"), "stdout"),
     Table("doctor trials", "docs/doctor.md", bench("doctor"), "stdout"),
     Table(
         "merge trials",

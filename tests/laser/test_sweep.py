@@ -1,137 +1,136 @@
 """Scans that take their time while the robot drives: put right, and which way round is found."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 
+import mapweave.laser.sweep as laser_sweep
 from mapweave.core import se2
-from mapweave.core.laser_log import LaserLog
-from mapweave.core.records import Scan, Track, frozen
 from mapweave.laser.beam import BeamConfig, beams
+from mapweave.laser.localise import localise
 from mapweave.laser.scan_matching import FrontEndConfig
-from mapweave.laser.sweep import sweep_of, swept
+from mapweave.laser.sweep import sweep_of, swept, swept_by_wheels
+from mapweave.mapping import laser_mapping
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import map_laser
+from mapweave.sim.laser import DriftConfig, DriveConfig, Scanner
+from mapweave.sim.laser_worlds import OfficeConfig, simulate_office
 
-BEAMS, PERIOD, NOISE = 360, 0.2, 0.005  # [s], [m]
-CORNERS = [(-5, -4), (6, -4), (6, 1), (3, 1), (3, 4), (-5, 4)]  # [m] of the room,
-BOXES = [(-3.0, 1.5, 1.0), (0.5, -2.5, 0.8), (4.5, -1.0, 0.6), (-3.5, -2.5, 0.7)]  # and x, y, side of what stands in it
-
-
-def outline(corners):
-    return np.array([[a, b] for a, b in zip(corners, corners[1:] + corners[:1], strict=True)], dtype=float)
+SWEEP = 0.15  # [s] of a revolution
+ROUND = Scanner(beams=360, opening=np.radians(359.0), far=10.0)
+HALF = replace(ROUND, opening=np.radians(240.0))
 
 
-def walls():
-    out = [outline(CORNERS)]
-    for x, y, side in BOXES:
-        h = side / 2
-        out.append(outline([(x - h, y - h), (x + h, y - h), (x + h, y + h), (x - h, y + h)]))
-    return np.concatenate(out)
+@cache
+def drive(sweep, scanner=ROUND, seed=0):
+    cfg = DriveConfig(
+        scan_every=0.12, odometry_every=0.03, speed=0.8, sweep=sweep, scanner=scanner, drift=DriftConfig(end_error=None)
+    )
+    return simulate_office(OfficeConfig(rooms=2, visited=2, drive=cfg), seed)
 
 
-WALLS = walls()
-
-
-def seen(pose, angle):
-    """The range [m] of one beam from each pose (n, 3) at each angle (n,) in the robot's frame."""
-    d = np.column_stack([np.cos(pose[:, 2] + angle), np.sin(pose[:, 2] + angle)])
-    a, e = WALLS[:, 0], WALLS[:, 1] - WALLS[:, 0]
-    off = a[None] - pose[:, None, :2]
-    cross = d[:, None, 0] * e[None, :, 1] - d[:, None, 1] * e[None, :, 0]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        r = (off[..., 0] * e[None, :, 1] - off[..., 1] * e[None, :, 0]) / cross
-        u = (off[..., 0] * d[:, None, 1] - off[..., 1] * d[:, None, 0]) / cross
-    return np.where((r > 0) & (u >= 0) & (u <= 1), r, np.inf).min(axis=1)
-
-
-def at(t):
-    """The robot's pose at t (n,) [s]: round the room in loops, turning this way and that by up to 1.3 rad/s."""
-    heading = 0.25 * t + 1.6 * np.sin(0.8 * t)
-    return np.column_stack([-0.5 + 1.5 * np.cos(0.25 * t), 0.2 + 1.2 * np.sin(0.25 * t), heading])
-
-
-def drive(sweep, *, scans=120, opening=2 * np.pi, wheels=True, seed=0):
-    """A log whose scans take `sweep` [s] around their stamps, negative in reverse, and say that they take its size."""
-    rng = np.random.default_rng(seed)
-    step = opening / BEAMS
-    angle = -opening / 2 + step * np.arange(BEAMS)
-    when = 1.0 + PERIOD * np.arange(scans)
-    stamps = np.arange(0.0, when[-1] + 1.0, 0.05)
-    odometry = Track(stamps, at(stamps) * [1.01, 1.01, 1.0], frame="odom")
-    log = []
-    for t in when:
-        beam_t = t + sweep * (np.arange(BEAMS) / (BEAMS - 1) - 0.5)
-        r = seen(at(beam_t), angle) + rng.normal(0.0, NOISE, BEAMS)
-        pose = se2.interpolate(np.array([t]), stamps, odometry.pose)[0]
-        own = frozen(pose) if wheels else None
-        log.append(Scan(frozen(r), frozen(np.ones(BEAMS), bool), None, angle[0], step, 20.0, odometry=own))
-    rows = odometry if wheels else None
-    return LaserLog("1", "made", when, tuple(log), rows, log_hash="made", sweep=abs(sweep))
+def truth(sim):
+    return se2.interpolate(sim.log.scan_t, sim.truth.t, sim.truth.pose)
 
 
 def asked(log):
     return sweep_of(log, BeamConfig(), FrontEndConfig())
 
 
-@pytest.mark.parametrize("sweep", [PERIOD, -PERIOD])
+def without_wheels(log):
+    return replace(log, odometry=None, scans=tuple(replace(scan, odometry=None) for scan in log.scans))
+
+
+def off_walls(sim, scan, pose):
+    """How far the median return lies from the nearest wall [m], seen from the true pose."""
+    s = se2.act(pose, beams(scan, "none", None, BeamConfig()).s)
+    a = sim.world.segments[:, :2]
+    e = sim.world.segments[:, 2:] - a
+    share = np.clip(((s[:, None] - a) * e).sum(axis=2) / (e * e).sum(axis=1), 0.0, 1.0)
+    return np.median(np.hypot(*np.moveaxis(s[:, None] - a - share[..., None] * e, 2, 0)).min(axis=1))
+
+
+@pytest.mark.parametrize("sweep", [SWEEP, -SWEEP])
 def test_beams_lie_where_the_robot_saw_them_from(sweep):
-    log = drive(sweep, scans=30)
-    truth = at(log.scan_t)
+    sim = drive(sweep)
+    at = truth(sim)
+    step = se2.between(at[:-2], at[2:]) * 0.5
+    turning = [k for k in np.argsort(-np.abs(step[:, 2]))[:40].tolist() if abs(step[k, 2]) > 0.05]
+    assert len(turning) > 20
     plain, right = [], []
-    for k in range(1, 30):
-        step = se2.between(truth[k - 1], truth[k + 1] if k < 29 else truth[k]) * (0.5 if k < 29 else 1.0)
-        for scan, out in ((log.scans[k], plain), (swept(log.scans[k], step, PERIOD, sweep), right)):
-            s = se2.act(truth[k], beams(scan, "none", None, BeamConfig()).s)
-            out.append(np.median(np.abs(np.min([off_wall(s, wall) for wall in WALLS], axis=0))))
-    assert np.mean(right) < 0.012
-    assert np.mean(plain) > 3 * np.mean(right)
+    for k in turning:
+        scan = sim.log.scans[k + 1]
+        plain.append(off_walls(sim, scan, at[k + 1]))
+        right.append(off_walls(sim, swept(scan, step[k], SWEEP, sweep), at[k + 1]))
+    assert np.mean(right) < 0.02
+    assert np.mean(plain) > 2 * np.mean(right)
 
 
-def off_wall(s, wall):
-    """How far points (n, 2) lie from a wall (2, 2) [m]."""
-    a, e = wall[0], wall[1] - wall[0]
-    share = np.clip((s - a) @ e / (e @ e), 0.0, 1.0)
-    return np.hypot(*(s - a - share[:, None] * e).T)
-
-
-@pytest.mark.parametrize("wheels", [True, False])
-@pytest.mark.parametrize("seed", [0, 1])
-def test_which_way_round_is_found_in_the_log(seed, wheels):
-    assert asked(drive(PERIOD, wheels=wheels, seed=seed)) == PERIOD
-    assert asked(drive(-PERIOD, wheels=wheels, seed=seed)) == -PERIOD
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("sweep", [SWEEP, -SWEEP])
+def test_which_way_round_is_found_in_the_log(sweep, seed):
+    log = drive(sweep, seed=seed).log
+    assert log.sweep == SWEEP
+    assert asked(log) == sweep
+    assert asked(without_wheels(log)) == sweep
 
 
 def test_the_time_of_a_part_of_a_circle_is_taken_as_it_is_stated():
-    assert asked(drive(0.07, scans=40, opening=np.radians(240))) == 0.07
+    assert asked(drive(SWEEP, HALF).log) == SWEEP
 
 
 def test_a_driver_that_states_another_time_means_a_revolution_in_reverse():
-    log = replace(drive(-PERIOD), sweep=0.0107)
-    assert asked(log) == pytest.approx(-PERIOD)
+    log = replace(drive(-SWEEP).log, sweep=0.0107)
+    assert asked(log) == pytest.approx(-SWEEP)
+    seldom = replace(log, scan_t=3.0 * log.scan_t)
+    assert asked(seldom) == 0.0
 
 
-def test_nothing_is_found_where_nothing_is_stated_or_told():
-    log = drive(PERIOD)
-    assert asked(replace(log, sweep=0.0)) == 0.0
-    assert asked(replace(log, scans=log.scans[:20], scan_t=log.scan_t[:20])) == 0.0  # too few that turn
-    slow = replace(log, scan_t=10.0 * log.scan_t)
-    assert asked(slow) == 0.0
-    pause = swept(log.scans[3], np.array([0.1, 0.0, 0.1]), 2.0, PERIOD)
-    assert pause.motion is None
+@pytest.mark.parametrize("sweep", [SWEEP, -SWEEP, 0.0])
+def test_what_no_driver_states_is_found_of_a_scanner_that_sees_all_round(sweep):
+    assert asked(replace(drive(sweep).log, sweep=0.0)) == pytest.approx(sweep)
+    assert asked(replace(drive(sweep, HALF).log, sweep=0.0)) == 0.0
+
+
+def test_nothing_is_found_where_nothing_is_told():
+    log = drive(SWEEP).log
+    few = replace(log, scans=log.scans[:20], scan_t=log.scan_t[:20])
+    seldom = replace(log, scan_t=10.0 * log.scan_t)
+    elsewhere = replace(log.scans[0], T_robot_sensor=np.array([0.1, 0.0, 0.0]))
+    two = replace(log, scans=(elsewhere, *log.scans[1:]))
+    assert [asked(one) for one in (few, seldom, two)] == [0.0] * 3
+    assert swept(log.scans[3], np.array([0.1, 0.0, 0.1]), 2.0, SWEEP).motion is None
+    still = replace(log, scans=two.scans)
+    assert swept_by_wheels(still, BeamConfig(), FrontEndConfig()).scans is still.scans
 
 
 @pytest.mark.parametrize("method", ["graph", "gated"])
-def test_a_map_of_swept_scans_is_right(method):
-    log = drive(-PERIOD, scans=200)
+def test_a_map_of_swept_scans_is_right(method, monkeypatch):
+    sim = drive(-SWEEP)
     errors = []
-    for one in (log, replace(log, sweep=0.0)):
-        made = map_laser(one, LaserConfig(method=method), 0)
-        truth, found = (se2.between(pose[0], pose) for pose in (at(one.scan_t), np.array(made.scans.pose)))
-        off = se2.between(truth, found)
-        errors.append(np.sqrt(np.mean(off[:, 2] ** 2)))
-        told = [f.value for f in made.findings if f.code == "scans-swept"]
-        assert told == ([pytest.approx(-PERIOD)] if one.sweep else [])
-    assert errors[0] < 0.02
-    assert errors[1] > 2 * errors[0]
+    for told in ([pytest.approx(-SWEEP)], []):
+        made = map_laser(sim.log, LaserConfig(method=method, feature="none"), 0)
+        off = se2.between(se2.between(truth(sim)[0], truth(sim)), se2.between(made.scans.pose[0], made.scans.pose))
+        errors.append(np.sqrt(np.mean(off**2, axis=0)))
+        assert [f.value for f in made.findings if f.code == "scans-swept"] == told
+        monkeypatch.setattr(laser_mapping, "sweep_of", lambda *_: 0.0)
+    assert errors[0][2] < 0.02
+    assert np.hypot(*errors[0][:2]) < 0.08
+    assert errors[1][2] > 2 * errors[0][2]
+
+
+def test_a_robot_under_a_scanner_that_turns_is_found_in_a_map(monkeypatch):
+    sim, other = drive(-SWEEP), drive(0.0)
+    made = map_laser(other.log, LaserConfig(feature="none"), 0)
+    errors = []
+    for _ in range(2):
+        start, chance = np.zeros(3), np.random.default_rng(0)
+        found = localise(sim.log, made.grid, None, "none", LaserConfig(), start, chance, lambda *_: None)
+        poses = se2.interpolate(sim.log.scan_t, found.track.t, found.track.pose)
+        off = se2.between(se2.between(truth(sim)[0], truth(sim)), poses)
+        errors.append(np.sqrt(np.mean(off**2, axis=0)))
+        monkeypatch.setattr(laser_sweep, "sweep_of", lambda *_: 0.0)
+    assert (errors[0] < errors[1]).all()
+    assert errors[0][2] < 0.5 * errors[1][2]

@@ -280,6 +280,9 @@ def _check(world: World) -> None:
     else:
         way = 2 * world.length
     expect_at_most({"metres driven": (way, FARTHEST), "scans": (way / drive.scan_every, MOST_SCANS)})
+    period = drive.scan_every / drive.speed
+    if not 0.0 <= drive.sweep <= period:
+        raise UsageError(f"--sweep: expected 0 to the {period:g} s from scan to scan, found {drive.sweep:g}")
     if drive.people < 0:
         raise UsageError(f"--people must be 0 or more, found {drive.people}")
 

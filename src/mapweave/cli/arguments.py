@@ -190,6 +190,8 @@ class DriveOptions:
         Metres a second.
     people
         How many people walk about.
+    sweep
+        Seconds that a scan takes from its first beam to its last, while the robot drives on; 0 for one moment.
     beams
         Beams of the scanner, over 240 degrees.
     range_
@@ -212,6 +214,7 @@ class DriveOptions:
     scan_every: float = 0.25
     speed: float = 0.5
     people: int = 0
+    sweep: float = 0.0
     beams: int = 342
     range_: Annotated[float, Parameter(name="--range")] = 5.6
     sensor_pose: Annotated[str, Parameter(allow_leading_hyphen=True)] = "0,0,0"
@@ -232,6 +235,7 @@ class DriveOptions:
             odometry_every=min(0.05, self.scan_every),
             speed=self.speed,
             people=self.people,
+            sweep=self.sweep,
             sensor_pose=(x, y, theta),
             scanner=Scanner(beams=self.beams, far=self.range_),
             law=replace(

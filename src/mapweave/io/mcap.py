@@ -112,10 +112,10 @@ def _messages(log: LaserLog, truth: Track | None, range_min: float) -> Iterator[
     steps = np.diff(log.scan_t)
     every = float(np.median(steps)) if len(steps) else 0.0
     for t, scan in zip(log.scan_t, log.scans, strict=True):
-        yield nanoseconds(t), "/scan", _scan(nanoseconds(t), scan, range_min, every)
+        yield nanoseconds(t), "/scan", _scan(nanoseconds(t), scan, range_min, every, abs(log.sweep))
 
 
-def _scan(ns: int, scan: Scan, range_min: float, every: float) -> Any:
+def _scan(ns: int, scan: Scan, range_min: float, every: float, sweep: float) -> Any:
     ranges = np.where(scan.hit, scan.ranges, np.inf).astype(np.float32)  # REP 117: infinite is no return
     light = np.zeros(0) if scan.intensities is None else scan.intensities
     return message_type("sensor_msgs/msg/LaserScan")(
@@ -123,7 +123,7 @@ def _scan(ns: int, scan: Scan, range_min: float, every: float) -> Any:
         angle_min=scan.angle_min,
         angle_max=scan.angle_min + scan.angle_increment * (len(ranges) - 1),
         angle_increment=scan.angle_increment,
-        time_increment=0.0,
+        time_increment=sweep / max(len(ranges) - 1, 1),
         scan_time=every,
         range_min=range_min,
         range_max=scan.range_max,

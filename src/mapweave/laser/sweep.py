@@ -46,24 +46,35 @@ def swept(scan: Scan, step: Float[np.ndarray, "3"], since: float, sweep: float) 
 def sweep_of(log: LaserLog, beam: BeamConfig, front_end: FrontEndConfig) -> float:
     """[s] from a scan's first beam to its last, negative where beams are given in reverse; 0 where it is not told.
 
-    Only where a driver states that beams take their time. Of scanners that see all round it is asked which way, in the
-    stretch in which most changes; what others state is so.
+    What a driver states of a part of a circle is so. Of scanners that see all round it is asked which way, in the
+    stretch in which most changes; where nothing is stated, whether beams take their time at all, too.
     """
     period = float(np.median(np.diff(log.scan_t))) if len(log.scans) > 1 else 0.0
     one = len({scan.T_robot_sensor.tobytes() for scan in log.scans}) == 1
-    if log.sweep <= 0.0 or not one or not 0.0 < period <= LONGEST_PAUSE:
+    if not one or not 0.0 < period <= LONGEST_PAUSE:
         return 0.0
-    scan = log.scans[0]
+    scan, stated = log.scans[0], log.sweep > 0.0
     if abs(scan.angle_increment) * (len(scan.ranges) - 1) < ALL_ROUND:
-        return log.sweep
-    if log.sweep < FASTEST:
+        return max(log.sweep, 0.0)
+    if log.sweep < FASTEST and (stated or period > SLOWEST):
         return -period if period <= SLOWEST else 0.0
-    more = _votes(log, _turning(log), log.sweep, beam, front_end)
-    if np.count_nonzero(more) < LEAST_TURNS:
+    sweep = log.sweep if stated else period
+    rows = _turning(log)
+    tried = [_on_lines(log, rows, one_way, beam, front_end) for one_way in (sweep, -sweep, 0.0)[: 2 if stated else 3]]
+    turns = np.min([rate for _, rate in tried], axis=0) * sweep >= TURNS
+    if int(turns.sum()) < LEAST_TURNS:
         return 0.0
+    shares = [np.where(turns, share, 0.0) for share, _ in tried]
+    best = int(np.argmax([share.sum() for share in shares]))
+    sure = best < 2 and all(_more(shares[best], share) for k, share in enumerate(shares) if k != best)
+    return (sweep, -sweep)[best] if sure else 0.0
+
+
+def _more(share: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"]) -> bool:
+    """Whether shares are surely larger than others of the same scans, some of which depend on their neighbours."""
+    more = share - other
     blocks = np.add.reduceat(more, np.arange(0, len(more), BLOCK))
-    sure = abs(float(more.sum())) > SURE * float(np.sqrt((blocks**2).sum()))
-    return log.sweep * float(np.sign(more.sum())) if sure else 0.0
+    return bool(more.sum() > SURE * np.sqrt((blocks**2).sum()))
 
 
 def swept_by_wheels(log: LaserLog, beam: BeamConfig, front_end: FrontEndConfig) -> LaserLog:
@@ -94,18 +105,6 @@ def _change(a: Scan, b: Scan) -> float:
     if len(a.ranges) != len(b.ranges) or not (both := a.hit & b.hit).any():
         return 0.0
     return float(np.median(np.abs(a.ranges[both] - b.ranges[both])))
-
-
-def _votes(
-    log: LaserLog, rows: Sequence[int], sweep: float, beam: BeamConfig, cfg: FrontEndConfig
-) -> Float[np.ndarray, " n"]:
-    """Of each scan how large a share more of its returns lie on their lines swept one way round than the other.
-
-    0 of those that were taken while the robot hardly turned.
-    """
-    one, other = (_on_lines(log, rows, way, beam, cfg) for way in (sweep, -sweep))
-    turns = np.minimum(one[1], other[1]) * sweep >= TURNS
-    return np.where(turns, one[0] - other[0], 0.0)
 
 
 def _on_lines(

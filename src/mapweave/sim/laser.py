@@ -401,6 +401,7 @@ class DriveConfig:
     odometry_every: float = 0.05  # [m]; a whole part of `scan_every`
     speed: float = 0.5  # [m/s]
     people: int = 0
+    sweep: float = 0.0  # [s] that a scan takes, its stamp in the middle; negative: its beams are given in reverse
     sensor_pose: tuple[float, float, float] = (0.0, 0.0, 0.0)  # T_robot_sensor
     scanner: Scanner = Scanner()
     law: Reflectance = Reflectance()
@@ -435,9 +436,8 @@ def drive(world: LaserWorld, route: Route, cfg: DriveConfig, seed: int) -> Laser
     x, y, theta = cfg.sensor_pose
     T_robot_sensor = frozen([x, y, representable_heading(theta)])
     at = np.arange(0, len(s), each)
-    sensor = se2.compose(truth[at], T_robot_sensor)
     discs, clothes = walking(cfg.people, route, t[at], truth[at], stream(seed, "people"))
-    true_range, what, cosine = cast(sensor, cfg.scanner.angles(), world.segments, discs, cfg.scanner.far + 0.3)
+    true_range, what, cosine = _cast(world, cfg, Track(t, truth, frame="world"), at, T_robot_sensor, discs)
     surface = np.concatenate([world.reflectance, clothes, [0.0]])
     rho = surface[what]
     ranges, light = measure(true_range, what, cosine, rho, cfg.scanner, cfg.law, stream(seed, "scanner"))
@@ -456,8 +456,30 @@ def drive(world: LaserWorld, route: Route, cfg: DriveConfig, seed: int) -> Laser
         )
         for k, i in enumerate(at.tolist())
     )
-    log = LaserLog("1", f"simulated {world.name}, seed {seed}", t[at], scans, Track(t, odometry, frame="odom"))
+    rows = Track(t, odometry, frame="odom")
+    log = LaserLog("1", f"simulated {world.name}, seed {seed}", t[at], scans, rows, sweep=abs(cfg.sweep))
     return LaserSimulation(log, Track(t, truth, frame="world"), frozen(np.where(hit, rho, 0.0)), world, bias)
+
+
+def _cast(
+    world: LaserWorld,
+    cfg: DriveConfig,
+    truth: Track,
+    at: Int[np.ndarray, " m"],
+    T_robot_sensor: Float[np.ndarray, "3"],
+    discs: Float[np.ndarray, "m d 3"],
+) -> tuple[Float[np.ndarray, "m n"], Int[np.ndarray, "m n"], Float[np.ndarray, "m n"]]:
+    """What `cast` gives of the scans at rows `at` of `truth`; where they take their time each beam is on its own."""
+    angles, far = cfg.scanner.angles(), cfg.scanner.far + 0.3
+    if cfg.sweep == 0.0:
+        return cast(se2.compose(truth.pose[at], T_robot_sensor), angles, world.segments, discs, far)
+    n = len(angles)
+    beam_t = truth.t[at][:, None] + cfg.sweep * (np.arange(n) / (n - 1) - 0.5)
+    sensor = se2.compose(se2.interpolate(beam_t.ravel(), truth.t, truth.pose), T_robot_sensor)
+    sensor[:, 2] += np.tile(angles, len(at))
+    alone = cast(sensor, np.zeros(1), world.segments, np.repeat(discs, n, axis=0), far)
+    true_range, what, cosine = (part.reshape(len(at), n) for part in alone)
+    return true_range, what, cosine
 
 
 def stream(seed: int, purpose: str) -> np.random.Generator:
