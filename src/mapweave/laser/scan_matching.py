@@ -37,8 +37,8 @@ WIDE_REACH = 0.1  # [m] a return this near its line counts there, on the coarse 
 WIDE_TRIES = 3  # rotations, those that most returns match, which are refined
 WIDE_TURN = 0.15  # [rad] standard deviation of the turn there, at least
 WIDE_UNDER = 0.65  # share of returns matched under which rotations are tried
-PAST = 0.4  # of a cell, or
-PAST_SD = 1.0  # sd of what odometry may err by: so far past the end of a wall that was seen a return may be of it
+PAST = 0.5  # of a cell, or
+PAST_SD = 0.75  # sd of what odometry may err by: so far past the end of a wall that was seen a return may be of it
 FRONT_END_REACH = 0.1  # [m] a return this near its line counts as matched
 LEAST_SHARE = 0.25  # share of the returns that must match, or odometry is taken
 GYRO_SCALE = 0.03  # share of a turn by which the turn of a gyroscope may err besides
@@ -214,9 +214,7 @@ class FrontEnd:
             self.fine,
             FRONT_END_FINE,
             _points(b, c.alpha),
-            MatchCost(
-                c.alpha, FRONT_END_AGREE, c.neff / FRONT_END_SIGMA**2, 0.0, FRONT_END_KAPPA, PAST * FRONT_END_FINE
-            ),
+            MatchCost(c.alpha, FRONT_END_AGREE, c.neff / FRONT_END_SIGMA**2, 0.0, FRONT_END_KAPPA, math.inf),
             pose,
             pose,
             held,

@@ -20,7 +20,7 @@ from .decisions import APART, TOGETHER, PlaceRow, keyframe_at
 from .keyframe_graph import ELSEWHERE
 from .woven_map import placed_track
 
-SD, SD_TURN = 0.1, 0.03  # [m], [rad] of a pose that somebody tells of a place
+SD, SD_TURN = 0.03, 0.01  # [m], [rad] of a pose that somebody tells of a place: as sure as scans are, or it gives way
 TOLD = np.diag([SD**-2, SD**-2, SD_TURN**-2])  # information of it
 CONTRADICTS = 5.0  # standard deviations from which a place contradicts the rest
 

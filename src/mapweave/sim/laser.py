@@ -60,22 +60,22 @@ class Reflectance:
 SECOND_LAW = Reflectance(falloff=2.6, exponent=0.6, specular=0.25)
 FITTED = (0.15, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5)  # [m] at which laws of real scanners are held
 LDS01 = Reflectance(
-    exponent=0.08,
+    exponent=0.09,
     relative_noise=0.085,
     noise=0.0,
     ranges=FITTED,
-    light=(13000.0, 11000.0, 7800.0, 5700.0, 4600.0, 3800.0, 2400.0, 1400.0, 910.0, 790.0, 770.0),
+    light=(13000.0, 10000.0, 7700.0, 5700.0, 4600.0, 3800.0, 2400.0, 1300.0, 910.0, 790.0, 730.0),
     beams=0.01,
     least=51.0,
     most=22606.0,
 )
 """LDS-01 of a TurtleBot3: the median of four logs. `benchmarks/light_laws.py` fits this law and the next."""
 NEATO = Reflectance(
-    exponent=1.08,
+    exponent=1.07,
     relative_noise=0.0,
     noise=0.0,
     ranges=FITTED,
-    light=(2600.0, 2600.0, 1200.0, 640.0, 330.0, 140.0, 52.0, 27.0, 20.0, 16.0, 16.0),
+    light=(2500.0, 2500.0, 1200.0, 630.0, 330.0, 140.0, 51.0, 25.0, 18.0, 14.0, 14.0),
     beams=0.193,
     least=10.0,
     most=1858.0,
