@@ -84,3 +84,18 @@ def test_kidnaps_are_told_and_those_that_cannot_be_are_refused(tmp_path):
     assert "carried away at step 4, and never found" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     told = json.loads((tmp_path / "out" / "metrics.json").read_text())["kidnapped"]
     assert told == [{"robot": "robot2", "step": 4, "back": None}]
+
+
+def test_a_robot_that_was_dead_or_that_nobody_knew_is_told_as_such():
+    dead = explore("yuan", kidnap={"robot2": 4, "robot1": 99}, kill={"robot2": 4}, until=6)
+    for robot, step in (("robot2", 4), ("robot1", 99)):
+        assert f"{robot}: not carried away at step {step}: it was dead, or the run over (seed 0)" in dead.lines()
+    own = explore("yuan", kidnap={"robot1": 4}, unknown_starts=True, until=6).lines()
+    assert [line for line in own if "not found in" in line] == [
+        f"{robot}: not found in what robot1 mapped before, nor is what they mapped" for robot in ("robot2", "robot1")
+    ]
+    other = explore("yuan", kidnap={"robot2": 4}, unknown_starts=True, until=6).lines()
+    assert [line for line in other if "not found in" in line] == [
+        "what a robot mapped before it was carried away: not found in the map of robot1",
+        "robot2: not found in the map of robot1, nor is what they mapped",
+    ]

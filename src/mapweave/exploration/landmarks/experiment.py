@@ -250,14 +250,23 @@ class ExploreResult(ExplorationResult[LandmarkMission, LandmarkRunScore, Landmar
         for told in self.first.carried:
             back = "and never found in the map again" if told.back is None else f"found in the map at step {told.back}"
             lines.append(f"{told.robot}: carried away at step {told.step}, {back} (seed {self.seed})")
+        done = {told.robot for told in self.first.carried}
+        for robot, step in ((self.first.robots[j], step) for j, step in (self.mission.kidnaps or {}).items()):
+            if robot not in done:
+                why = "it was dead, or the run over"
+                lines.append(f"{robot}: not carried away at step {step}: {why} (seed {self.seed})")
         if np.isfinite(self.mission.radio):
             touch = 100.0 * np.mean([r.in_touch for r in self.runs])
             lines.append(f"radio of {self.mission.radio:g} m: all robots in touch in {touch:.0f} % of the steps")
         if self.mission.apart:
             one, wrong = sum(r.maps == 1 for r in self.runs), sum(r.wrong_meetings for r in self.runs)
             lines.append(f"all robots found each other in {one} of {len(self.runs)} runs, {wrong} times wrongly")
+            own = self.first.robots[0]
+            there = f"the map of {own}" if own in self.first.maps[0] else f"what {own} mapped before"
             lines += [
-                f"{', '.join(robots)}: not found in the map of {self.first.robots[0]}, nor is what they mapped"
+                f"{', '.join(robots)}: not found in {there}, nor is what they mapped"
+                if robots
+                else f"what a robot mapped before it was carried away: not found in {there}"
                 for robots in self.first.maps[1:]
             ]
         return lines
