@@ -54,14 +54,15 @@ class Recording:
     def text(self, t, topic="/chatter"):
         self.rows.append((t, topic, "text", self.of(KINDS["text"], data="hello")))
 
-    def scan(self, t, ranges, light=None, topic="/scan", frame="laser", at=None, angles=(-1.5, 1.5), far=10.0):
+    def scan(self, t, ranges, light=None, topic="/scan", frame="laser", at=None, angles=(-1.5, 1.5), far=10.0, dt=0.0):
+        """dt: [s] from beam to beam, as its driver states it."""
         message = self.of(
             KINDS["scan"],
             header=self.header(t if at is None else at, frame),
             angle_min=angles[0],
             angle_max=angles[1],
             angle_increment=(angles[1] - angles[0]) / (len(ranges) - 1),
-            time_increment=0.0,
+            time_increment=dt,
             scan_time=0.1,
             range_min=0.1,
             range_max=far,

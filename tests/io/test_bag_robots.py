@@ -222,3 +222,18 @@ def test_a_folder_of_recordings_is_read_as_it_is_mapped(tmp_path):
             driving(out, "", k, speed=v)
         out.write()
     assert mapweave.read(tmp_path).robots == ("1", "2", "3")
+
+
+@pytest.mark.parametrize("first", [np.nan, np.inf, -1.0, 1e9, 0.0])
+def test_the_time_of_a_scan_is_what_most_of_its_messages_state(tmp_path, first):
+    out = Recording(tmp_path / "log.mcap")
+    for k in range(10):
+        out.scan(10.0 + 0.1 * k, wall(k), dt=1e-3 if k > 3 else first)
+    assert read_laser(out.write()).sweep == pytest.approx(1e-3 * (N - 1), rel=1e-6)
+
+
+def test_the_time_of_a_scan_that_few_messages_state_is_none(tmp_path):
+    out = Recording(tmp_path / "log.mcap")
+    for k in range(10):
+        out.scan(10.0 + 0.1 * k, wall(k), dt=1e-3 if k < 3 else 1e9)
+    assert read_laser(out.write()).sweep == 0.0

@@ -2,6 +2,7 @@
 
 import errno
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,12 @@ def test_reading_it_back_gives_the_same_events_to_the_bit(driven):
         for name in a.record.__slots__:
             u, v = getattr(a.record, name), getattr(b.record, name)
             assert np.array_equal(u, v) if isinstance(u, np.ndarray) else u == v, name
+
+
+@pytest.mark.parametrize("sweep", [0.0667, -0.0667])
+def test_the_time_that_a_scan_takes_is_stated(driven, tmp_path, sweep):
+    write_mcap(tmp_path / "swept.mcap", replace(driven[0].log, sweep=sweep))
+    assert read_laser(tmp_path / "swept.mcap").sweep == pytest.approx(0.0667, rel=1e-6)
 
 
 def test_it_is_written_where_temporary_files_are_on_another_file_system(driven, tmp_path, monkeypatch):

@@ -81,7 +81,7 @@ def test_the_time_of_a_part_of_a_circle_is_taken_as_it_is_stated():
     assert asked(drive(SWEEP, HALF).log) == SWEEP
 
 
-def test_a_driver_that_states_another_time_means_a_revolution_in_reverse():
+def test_a_driver_that_states_another_time_means_a_revolution():
     log = replace(drive(-SWEEP).log, sweep=0.0107)
     assert asked(log) == pytest.approx(-SWEEP)
     seldom = replace(log, scan_t=3.0 * log.scan_t)
@@ -92,6 +92,23 @@ def test_a_driver_that_states_another_time_means_a_revolution_in_reverse():
 def test_what_no_driver_states_is_found_of_a_scanner_that_sees_all_round(sweep):
     assert asked(replace(drive(sweep).log, sweep=0.0)) == pytest.approx(sweep)
     assert asked(replace(drive(sweep, HALF).log, sweep=0.0)) == 0.0
+
+
+@pytest.mark.parametrize("stated", [SWEEP, 0.0107])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_scans_of_one_moment_are_left_so_whatever_time_is_stated(seed, stated):
+    assert asked(replace(drive(0.0, seed=seed).log, sweep=stated)) == 0.0
+
+
+def test_a_short_first_scan_does_not_make_a_part_of_a_circle_of_all():
+    log = drive(-SWEEP).log
+    first = log.scans[0]
+    short = replace(first, ranges=first.ranges[:90], hit=first.hit[:90])
+    assert asked(replace(log, scans=(short, *log.scans[1:]))) == -SWEEP
+
+
+def test_a_scan_that_takes_longer_than_the_time_to_the_next_ones_is_not_believed():
+    assert asked(replace(drive(SWEEP, HALF).log, sweep=2.1 * SWEEP)) == 0.0
 
 
 def test_nothing_is_found_where_nothing_is_told():

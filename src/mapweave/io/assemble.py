@@ -358,9 +358,9 @@ def odometry_row(t: float, pose: Float[np.ndarray, "3"]) -> tuple[float, float, 
 
 
 def _sweep(scans: Sequence[RawScan]) -> float:
-    """[s] that a scan takes from its first beam to its last, the median; 0 where that is not said or is no time."""
-    sweep = float(np.median([raw.sweep for raw in scans]))
-    return sweep if 0.0 < sweep < LONGEST_SWEEP else 0.0
+    """[s] that a scan takes from its first beam to its last, the median; 0 where most do not say so, or no time."""
+    told = [raw.sweep for raw in scans if 0.0 < raw.sweep < LONGEST_SWEEP]
+    return float(np.median(told)) if 2 * len(told) > len(scans) else 0.0
 
 
 def _differ(a: RawScan, b: RawScan) -> bool:

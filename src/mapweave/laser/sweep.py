@@ -22,7 +22,8 @@ from .scan_odometry import ALONE_SD
 
 LONGEST_PAUSE = 0.5  # [s] between scans, up to which the motion from one to the next is that while either was taken
 ALL_ROUND = np.radians(350.0)  # of scanners that spin, whose beams may be given in reverse
-FASTEST = 0.02  # [s] of a revolution: drivers that state less, of an LDS-01, state another time and give it in reverse
+FASTEST = 0.02  # [s] of a revolution: drivers that state less, as of an LDS-01, state another time
+LONGEST_SHARE = 2.0  # of the time from scan to scan, that a scan may take by its driver: more is another time
 SLOWEST = 0.25  # [s] of a revolution of theirs: what comes less often was left out in part
 ASKED = 600  # scans that tell which way round, at most
 TURNS = 0.02  # [rad] that the robot turns in a sweep which tells
@@ -47,34 +48,35 @@ def sweep_of(log: LaserLog, beam: BeamConfig, front_end: FrontEndConfig) -> floa
     """[s] from a scan's first beam to its last, negative where beams are given in reverse; 0 where it is not told.
 
     What a driver states of a part of a circle is so. Of scanners that see all round it is asked which way, in the
-    stretch in which most changes; where nothing is stated, whether beams take their time at all, too.
+    stretch in which most changes, and whether at all: of what is simulated all beams are of one moment, whatever is
+    stated. Where nothing is stated, beams must surely take the time from scan to scan.
     """
     period = float(np.median(np.diff(log.scan_t))) if len(log.scans) > 1 else 0.0
     one = len({scan.T_robot_sensor.tobytes() for scan in log.scans}) == 1
-    if not one or not 0.0 < period <= LONGEST_PAUSE:
+    if not one or not 0.0 < period <= LONGEST_PAUSE or not 0.0 <= log.sweep <= LONGEST_SHARE * period:
         return 0.0
-    scan, stated = log.scans[0], log.sweep > 0.0
-    if abs(scan.angle_increment) * (len(scan.ranges) - 1) < ALL_ROUND:
-        return max(log.sweep, 0.0)
-    if log.sweep < FASTEST and (stated or period > SLOWEST):
-        return -period if period <= SLOWEST else 0.0
-    sweep = log.sweep if stated else period
+    opening = float(np.median([abs(scan.angle_increment) * (len(scan.ranges) - 1) for scan in log.scans]))
+    if opening < ALL_ROUND:
+        return log.sweep
+    sweep = log.sweep if log.sweep >= FASTEST else period if period <= SLOWEST else 0.0
+    if sweep == 0.0:
+        return 0.0
     rows = _turning(log)
-    tried = [_on_lines(log, rows, one_way, beam, front_end) for one_way in (sweep, -sweep, 0.0)[: 2 if stated else 3]]
+    tried = [_on_lines(log, rows, time, beam, front_end) for time in (sweep, -sweep, 0.0)]
     turns = np.min([rate for _, rate in tried], axis=0) * sweep >= TURNS
     if int(turns.sum()) < LEAST_TURNS:
         return 0.0
-    shares = [np.where(turns, share, 0.0) for share, _ in tried]
-    best = int(np.argmax([share.sum() for share in shares]))
-    sure = best < 2 and all(_more(shares[best], share) for k, share in enumerate(shares) if k != best)
-    return (sweep, -sweep)[best] if sure else 0.0
+    one_way, other, moment = (np.where(turns, share, 0.0) for share, _ in tried)
+    sure = _sureness(one_way - other)
+    found, better = (sweep, one_way) if sure > 0 else (-sweep, other)
+    least = -SURE if log.sweep > 0.0 else SURE
+    return found if abs(sure) > SURE and _sureness(better - moment) > least else 0.0
 
 
-def _more(share: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"]) -> bool:
-    """Whether shares are surely larger than others of the same scans, some of which depend on their neighbours."""
-    more = share - other
-    blocks = np.add.reduceat(more, np.arange(0, len(more), BLOCK))
-    return bool(more.sum() > SURE * np.sqrt((blocks**2).sum()))
+def _sureness(more: Float[np.ndarray, " n"]) -> float:
+    """The sum of these in its standard errors; some depend on their neighbours."""
+    sd = float(np.sqrt((np.add.reduceat(more, np.arange(0, len(more), BLOCK)) ** 2).sum()))
+    return float(more.sum()) / sd if sd > 0 else 0.0
 
 
 def swept_by_wheels(log: LaserLog, beam: BeamConfig, front_end: FrontEndConfig) -> LaserLog:
