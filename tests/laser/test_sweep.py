@@ -145,6 +145,7 @@ def test_a_robot_under_a_scanner_that_turns_is_found_in_a_map(monkeypatch):
     for _ in range(2):
         start, chance = np.zeros(3), np.random.default_rng(0)
         found = localise(sim.log, made.grid, None, "none", LaserConfig(), start, chance, lambda *_: None)
+        assert [f.value for f in found.findings if f.code == "scans-swept"] == ([] if errors else [-SWEEP])
         poses = se2.interpolate(sim.log.scan_t, found.track.t, found.track.pose)
         off = se2.between(se2.between(truth(sim)[0], truth(sim)), poses)
         errors.append(np.sqrt(np.mean(off**2, axis=0)))

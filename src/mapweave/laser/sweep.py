@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
+from ..core.findings import Finding
 from ..core.laser_log import LEAST_RETURNS, LaserLog
 from ..core.records import Scan, frozen
 from .beam import BeamConfig, beams
@@ -80,7 +81,7 @@ def _sureness(more: Float[np.ndarray, " n"]) -> float:
 
 
 def swept_by_wheels(log: LaserLog, beam: BeamConfig, front_end: FrontEndConfig) -> LaserLog:
-    """The log with each scan's motion as its wheels have it, of a scanner that takes its time; as it is without."""
+    """The log with each scan's motion as its wheels have it, which is told; as it is where none takes its time."""
     sweep = sweep_of(log, beam, front_end)
     wheels = [scan.odometry for scan in log.scans]
     if sweep == 0.0 or any(pose is None for pose in wheels):
@@ -88,7 +89,8 @@ def swept_by_wheels(log: LaserLog, beam: BeamConfig, front_end: FrontEndConfig) 
     at = np.array(wheels, dtype=float)
     step, since = se2.between(at[:-1], at[1:]), np.diff(log.scan_t)
     rest = (swept(*row, sweep) for row in zip(log.scans[1:], step, since.tolist(), strict=True))
-    return replace(log, scans=(log.scans[0], *rest))
+    told = Finding("scans-swept", log.robot, value=sweep)
+    return replace(log, scans=(log.scans[0], *rest), findings=(*log.findings, told))
 
 
 def _turning(log: LaserLog) -> range:
