@@ -103,7 +103,7 @@ def test_scans_of_one_moment_are_left_so_whatever_time_is_stated(seed, stated):
 def test_a_short_first_scan_does_not_make_a_part_of_a_circle_of_all():
     log = drive(-SWEEP).log
     first = log.scans[0]
-    short = replace(first, ranges=first.ranges[:90], hit=first.hit[:90])
+    short = replace(first, ranges=first.ranges[:90], hit=first.hit[:90], intensities=first.intensities[:90])
     assert asked(replace(log, scans=(short, *log.scans[1:]))) == -SWEEP
 
 

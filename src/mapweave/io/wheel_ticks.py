@@ -17,7 +17,6 @@ AHEAD = np.array([0.145, 0.0, 0.0])
 NEAR, FAR = 0.02, 5.6  # [m]; the scanner's smaller values are error codes
 LARGEST = 1e18  # microseconds and ticks are less
 OPENING = np.radians(240.0)
-SWEEP = 0.1 * 240.0 / 360.0  # [s] of a revolution of a tenth of a second
 
 
 def is_wheel_ticks(log: TextLog) -> bool:
@@ -50,8 +49,7 @@ def read_wheel_ticks(
             raise ReaderError(log.path, str(error), number) from None
         ticks.append((float(head[2]), float(head[3])))
         step = OPENING / (len(values) - 1)
-        t = float(head[0]) * 1e-6
-        raw.scans.append(RawScan(t, values, None, -OPENING / 2, step, NEAR, FAR, AHEAD, sweep=SWEEP))
+        raw.scans.append(RawScan(float(head[0]) * 1e-6, values, None, -OPENING / 2, step, NEAR, FAR, AHEAD))
     if log.truncated:
         raw.find("log-short", f"{log.path.name}: {log.truncated}", "what was readable is used")
     poses = dead_reckoning(np.array(ticks).reshape(-1, 2))

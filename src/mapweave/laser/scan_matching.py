@@ -37,7 +37,7 @@ WIDE_REACH = 0.1  # [m] a return this near its line counts there, on the coarse 
 WIDE_TRIES = 3  # rotations, those that most returns match, which are refined
 WIDE_TURN = 0.15  # [rad] standard deviation of the turn there, at least
 WIDE_UNDER = 0.65  # share of returns matched under which rotations are tried
-PAST = 0.5  # of a cell, or
+PAST = 0.55  # of a cell, or
 PAST_SD = 0.75  # sd of what odometry may err by: so far past the end of a wall that was seen a return may be of it
 FRONT_END_REACH = 0.1  # [m] a return this near its line counts as matched
 LEAST_SHARE = 0.25  # share of the returns that must match, or odometry is taken
@@ -102,10 +102,13 @@ class _Keyframe(NamedTuple):
 
 
 class FrontEnd:
-    """The local map. `insert` changes it: it belongs to one estimator state."""
+    """The local map. `insert` changes it: it belongs to one estimator state.
 
-    def __init__(self, cfg: FrontEndConfig, tangent: float | None = None) -> None:
-        self.cfg = cfg
+    ends: whether returns past the end of the walls that were seen are matched to none.
+    """
+
+    def __init__(self, cfg: FrontEndConfig, tangent: float | None = None, *, ends: bool = False) -> None:
+        self.cfg, self.ends = cfg, ends
         self.tangent = cfg.tangent if tangent is None else tangent
         if cfg.size < 8 or cfg.size & (cfg.size - 1):
             raise ConfigError(f"front_end.size: expected a power of two from 8 on, found {cfg.size}")
@@ -241,6 +244,7 @@ class FrontEnd:
     ) -> tuple[np.ndarray, np.ndarray, float]:
         c = self.cfg
         scan = _points(b, c.alpha)
+        least = PAST if self.ends else math.inf
         past = PAST_SD * float(np.max(sd[:2]))
         fine = MatchCost(
             c.alpha,
@@ -248,9 +252,9 @@ class FrontEnd:
             c.neff / FRONT_END_SIGMA**2,
             self.tangent,
             FRONT_END_KAPPA,
-            max(PAST * FRONT_END_FINE, past),
+            max(least * FRONT_END_FINE, past),
         )
-        coarse = fine._replace(kappa=COARSE_KAPPA, past=max(PAST * FRONT_END_COARSE, past))
+        coarse = fine._replace(kappa=COARSE_KAPPA, past=max(least * FRONT_END_COARSE, past))
         pose, _, _ = align_scan(self.coarse, FRONT_END_COARSE, scan, coarse, start, predicted, sd, COARSE_ITERATIONS)
         pose, H, cost = align_scan(self.fine, FRONT_END_FINE, scan, fine, pose, predicted, sd, FINE_ITERATIONS)
         pose[2] = se2.wrap_angle(pose[2])

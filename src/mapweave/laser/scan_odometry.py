@@ -25,6 +25,7 @@ from .scan_matching import (
     STILL_TURN,
     STILL_XY,
     WIDE_UNDER,
+    FrontEnd,
     FrontEndConfig,
     ScanMatch,
     allowed_sd,
@@ -136,7 +137,7 @@ class ScanOdometry:
         self._matcher: Callable[[FrontEndConfig, float], Matcher] = plugged_in(
             "matchers", self.cfg.matcher, "front_end.matcher"
         )
-        self.front_end = self._matcher(self.cfg, self.tangent)
+        self.front_end = self._local_map()
         self._anew: Matcher | None = None  # of the latest scan alone, where it does not match the local map
         self.poses = RowBuffer(3)
         self.odometry: np.ndarray | None = None
@@ -144,6 +145,13 @@ class ScanOdometry:
         self.heading: float | None = None
         self._stood: np.ndarray | None = None  # where it was when the wheels moved last, while they report nothing
         self.lines = np.zeros((3, 3))
+
+    def _local_map(self) -> Matcher:
+        """An empty one. Where wheels have shown what they are worth, walls do not go on past their ends."""
+        made = self._matcher(self.cfg, self.tangent)
+        if isinstance(made, FrontEnd):
+            made.ends = self.worth is not None
+        return made
 
     @property
     def pose(self) -> Float[np.ndarray, "3"]:
@@ -205,7 +213,7 @@ class ScanOdometry:
             if accepted:
                 self.front_end = fe
                 break
-        self._anew = None if accepted or self.gate is not None else self._matcher(self.cfg, self.tangent)
+        self._anew = None if accepted or self.gate is not None else self._local_map()
         if accepted and self.gate is not None and scan.odometry is not None and not alone:
             accepted = inside(match.innovation, self.gate(sd))
         if accepted and self.tell_lines:

@@ -60,11 +60,11 @@ class Reflectance:
 SECOND_LAW = Reflectance(falloff=2.6, exponent=0.6, specular=0.25)
 FITTED = (0.15, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5)  # [m] at which laws of real scanners are held
 LDS01 = Reflectance(
-    exponent=0.09,
+    exponent=0.08,
     relative_noise=0.085,
     noise=0.0,
     ranges=FITTED,
-    light=(13000.0, 10000.0, 7700.0, 5700.0, 4600.0, 3800.0, 2400.0, 1300.0, 910.0, 790.0, 730.0),
+    light=(13000.0, 11000.0, 7800.0, 5700.0, 4600.0, 3800.0, 2400.0, 1400.0, 910.0, 790.0, 770.0),
     beams=0.01,
     least=51.0,
     most=22606.0,
