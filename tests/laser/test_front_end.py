@@ -130,7 +130,8 @@ def in_a_corridor_of_doors(pose):
 
 
 def test_walls_that_come_into_view_do_not_pull_a_scan_along():
-    fe = FrontEnd(FrontEndConfig(), ends=True)
+    fe = FrontEnd(FrontEndConfig())
+    fe.ends = True
     for k in range(8):  # it drives backwards, so that what is new stands beside it
         fe.insert(in_a_corridor_of_doors((-0.45 * k, 0.0, 0.0)), np.array([-0.45 * k, 0.0, 0.0]))
     true = np.array([-0.45 * 8, 0.0, 0.0])

@@ -111,6 +111,13 @@ def test_a_scan_that_takes_longer_than_the_time_to_the_next_ones_is_not_believed
     assert asked(replace(drive(SWEEP, HALF).log, sweep=2.1 * SWEEP)) == 0.0
 
 
+def test_scans_of_one_stamp_tell_no_motion():
+    log = drive(-SWEEP).log
+    t = np.array(log.scan_t)
+    t[1::40] = t[:-1:40][: len(t[1::40])]
+    assert asked(replace(log, scan_t=t)) == -SWEEP
+
+
 def test_nothing_is_found_where_nothing_is_told():
     log = drive(SWEEP).log
     few = replace(log, scans=log.scans[:20], scan_t=log.scan_t[:20])

@@ -82,9 +82,9 @@ def turned(theta):
     return 0.0, 0.0, math.sin(theta / 2), math.cos(theta / 2)
 
 
-def scan(t, frame, ranges, angle_min, step, range_max, intensities=()):
+def scan(t, frame, ranges, angle_min, step, range_max, intensities=(), apart=0.0):
     out = Writer().head(t, frame)
-    out.put("f", angle_min, angle_min + step * (len(ranges) - 1), step, 0.0, 0.1, 0.05, range_max)
+    out.put("f", angle_min, angle_min + step * (len(ranges) - 1), step, apart, 0.1, 0.05, range_max)
     return out.array("f", ranges).array("f", intensities).bytes()
 
 

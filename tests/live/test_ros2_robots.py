@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,13 +10,14 @@ import pytest
 from mapweave.core import se2
 from mapweave.laser.laser_map import GridMap
 from mapweave.live.door import decode
-from mapweave.live.laser_stream import beams_of, scan_of
+from mapweave.live.laser_stream import LaserRecord, beams_of, messages_of_laser, scan_of, whole_log
 from mapweave.live.messages import RefusedError, Scans, encode
 from mapweave.live.ros2 import assembly, cdr
 from mapweave.live.ros2.assembly import GAP, LEAP, PATIENCE, Assembly
 from mapweave.live.ros2.feed import Graph, chosen
 from mapweave.live.ros2.shown import grid_of, pose_of
 from mapweave.live.ros2.wire import NO_HASH, Entity, Topic
+from mapweave.sim.laser_worlds import OfficeConfig, simulate_office
 
 from . import ros_peer
 
@@ -145,6 +147,31 @@ def test_a_scan_gets_the_odometry_of_its_own_stamp_and_its_place_on_the_robot():
     assert placed.ranges.tolist() == [1.0, 2.0, 10.0, 10.0, 10.0, 3.0]
     assert rows == []  # those of the message before
     assert not made.refused
+
+
+def test_a_revolution_that_a_driver_sends_twice_is_told_once_it_is_its_habit():
+    rng = np.random.default_rng(0)
+    made, told = fed(Assembly(), mounted()), []
+    for k in range(60):
+        seen = np.linspace(1.0, 3.0, 20) + (0.1 * rng.random(20) if k % 2 == 0 else 0.0)
+        ranges = seen if k % 2 == 0 else ranges
+        t = 10.0 + 0.1 * k
+        fed(made, odometry(t, (0.02 * k, 0.0, 0.0)), scan(t, ranges=ranges.astype(np.float32).tolist()))
+        told += [round((stamp - 10.0) / 0.1) for stamp, _ in made.ready()[0]]
+    assert told[-15:] == list(range(30, 60, 2))
+    assert set(made.refused) == {"repeated"}
+    assert made.refused["repeated"] >= 15
+
+
+def test_the_time_that_a_scan_takes_reaches_the_log():
+    message = cdr.decode(ros_peer.scan(10.0, "laser", RANGES, -0.5, 0.2, 10.0, (), 0.01), cdr.SCAN)
+    made = Assembly()
+    made.scan(message)
+    assert made.sweep == pytest.approx(0.01 * (len(RANGES) - 1))
+    log = replace(simulate_office(OfficeConfig(rooms=2, visited=1), 0).log, sweep=0.2)
+    header, *rest = (message for _, message in messages_of_laser(log, "robot1", "run", 1.0))
+    record = LaserRecord(header)
+    assert whole_log(header, [part for one in rest if (part := record.add(one)) is not None]).sweep == 0.2
 
 
 def test_scans_of_two_scanners_come_in_the_order_of_their_stamps():

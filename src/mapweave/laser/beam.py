@@ -127,8 +127,9 @@ class Beams(NamedTuple):
 
 
 def beams(scan: Scan, feature: str, calibration: IntensityCalibration | None, cfg: BeamConfig) -> Beams:
-    """The valid returns of `scan` with the `feature` asked for.
+    """The valid returns of `scan` with the `feature` asked for, each from where the robot was when it was taken.
 
+    Beam k of n is seen from `exp((k / (n - 1) - 1/2) log(motion))` in the frame of the robot at the scan's pose.
     `raw`: I / scale; `normalised`: `min(1.2, I / (scale g(r) h(max(c, 0.15))))`, the median of the log where no light
     was measured; both need `calibration` (for `raw` its scale alone is read); `none`: 0.
     """

@@ -107,8 +107,8 @@ class FrontEnd:
     ends: whether returns past the end of the walls that were seen are matched to none.
     """
 
-    def __init__(self, cfg: FrontEndConfig, tangent: float | None = None, *, ends: bool = False) -> None:
-        self.cfg, self.ends = cfg, ends
+    def __init__(self, cfg: FrontEndConfig, tangent: float | None = None) -> None:
+        self.cfg, self.ends = cfg, False
         self.tangent = cfg.tangent if tangent is None else tangent
         if cfg.size < 8 or cfg.size & (cfg.size - 1):
             raise ConfigError(f"front_end.size: expected a power of two from 8 on, found {cfg.size}")

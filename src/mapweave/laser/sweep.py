@@ -128,7 +128,7 @@ def _on_lines(
         b = beams(swept(scan, step, since, sweep), "none", None, beam)
         if len(b.q) < LEAST_RETURNS:
             continue
-        rate[k] = abs(float(step[2])) / since if since <= LONGEST_PAUSE else 0.0
+        rate[k] = abs(float(step[2])) / since if 0.0 < since <= LONGEST_PAUSE else 0.0
         matched = pose if before is None else local.match(b, np.asarray(se2.compose(pose, step)), sd).pose
         share[k] = local.near(b, matched, ON_LINE) / len(b.q)
         local.insert(b, matched)
