@@ -4,19 +4,24 @@ In a building that looks alike in several places many more places may be found a
 there one side saw through what the other saw as walls, as between the maps of two robots.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from ..core import se2
+from ..laser.closures import Matched
+from ..laser.keyframes import carried
 from ..laser.place_search import Fit
-from .keyframe_graph import ELSEWHERE, KeyframeGraph
+from .keyframe_graph import CARRIED, ELSEWHERE, NEAR, KeyframeGraph
 from .map_overlap import KeyframeMap
-from .merge_search import AGREE, AGREE_TURN, LEAST_ALIKE, Hypothesis, apart, candidates, same_place
-from .segments import GAP, LONG
+from .merge_search import AGREE, AGREE_TURN, Hypothesis, apart, candidates, hypotheses, same_place
+from .segments import GAP, LONG, REFUSED
 
 LEAD = 2.0  # times the evidence of any other place that leaves no doubt
+LENIENT = 2.0  # times the share that two maps contradict of themselves, and
+BENDS = 0.01  # besides, for they bend: so much of what both saw may be unlike where they meet
 HELD = np.array([40.0, 40.0])  # points that hold a place which the search has let through, at least
 
 
@@ -24,7 +29,8 @@ def decide_borders(graph: KeyframeGraph) -> tuple[int, ...]:
     """Places over a border that lie elsewhere than what both sides saw agrees are left out, and the graph is settled.
 
     Each segment of some length is laid where its places put it among all before it. After a gap wheels decide, and
-    where it fits nowhere without contradiction (people, outdoors, bent walls) all places stay as they were decided.
+    where it fits in one place alone and not without contradiction (people, outdoors, bent walls) all places stay as
+    they were decided. A short one stays near what came before it or after it: no robot is carried twice at once.
     Returns the keyframes whose segments fit elsewhere about as well.
     """
     cuts = [i for i, node in enumerate(graph.nodes) if i and node.border]
@@ -33,32 +39,94 @@ def decide_borders(graph: KeyframeGraph) -> tuple[int, ...]:
     low, high = np.sort(segment[ends], axis=1).T
     if not (low < high).any():
         return ()
+    first = np.array([0, *cuts])
+    last = np.array([*(k - 1 for k in cuts), len(graph) - 1])
+    long = graph.path[last] - graph.path[first] >= LONG
     alone = graph.copy()
     alone.closures = [c for c, within in zip(graph.closures, low == high, strict=True) if within]
     alone.settle()
     unclear = []
     for s, k in enumerate(cuts, start=1):
         after, over = np.flatnonzero(segment == s), np.flatnonzero((high == s) & (low < s)).tolist()
-        if not over or graph.nodes[k].border == GAP or graph.path[after[-1]] - graph.path[k] < LONG:
+        if not over or graph.nodes[k].border == GAP or not long[s]:
             continue
         a = _map(graph, np.arange(k), np.asarray(graph.pose[:k]))
         b = _map(graph, after, np.asarray(se2.between(alone.pose[k], alone.pose[after])))
         found = [_hypothesis(graph, n, k, b) for n in over]
-        ways = [(c.evidence(LEAST_ALIKE), c) for c in candidates(a, b, found)]
+        alike = max(0.0, 1.0 - LENIENT * (a.own + b.own + BENDS))
+        ways = [(c.evidence(alike), c) for c in candidates(a, b, found)]
+        if max(e for e, _ in ways) <= 0.0:
+            ways += [(c.evidence(alike), c) for c in candidates(a, b, hypotheses(a, b))]
         most, best = max(ways, key=lambda way: way[0])
-        if most <= 0.0:
-            continue
         others = [e for e, c in ways if not same_place(b, c.transform, best.transform)]
-        if LEAD * max(others, default=0.0) > most:
+        if others and (most <= 0.0 or LEAD * max(others) > most):
             unclear.append(k)
+        if most <= 0.0 and not others:
+            continue
+        share = f"{100.0 * best.seen.share:.0f} % of what both sides saw is alike"
         away = apart(b, found, best.transform, 2.0 * AGREE, 2.0 * AGREE_TURN) > 1.0
-        false = [n for n, is_away in zip(over, away.tolist(), strict=True) if is_away]
-        for n in false:
-            share = f"{100.0 * best.seen.share:.0f} % of what both sides saw is alike"
-            graph.closures[n] = replace(graph.closures[n], accepted=False, reason=f"{ELSEWHERE}, where {share}")
-        if false:
-            graph.settle()
+        _leave_out(graph, np.array(over)[away], share)
+        if away.all():
+            for h in best.members:
+                _tie(graph, h, a.pose[h.at], k, share)
+        before = np.flatnonzero(long[:s])[-1] if long[:s].any() else s - 1
+        if _away(graph, int(last[before]), k, best.transform) > CARRIED:
+            graph.carried |= {next((i for i in cuts[before:s] if graph.nodes[i].border == REFUSED), k)}
+        graph.settle()
+    _hold_short(graph, segment, first, last, long)
     return tuple(unclear)
+
+
+def _hold_short(
+    graph: KeyframeGraph,
+    segment: Int[np.ndarray, " n"],
+    first: Int[np.ndarray, " s"],
+    last: Int[np.ndarray, " s"],
+    long: np.ndarray,
+) -> None:
+    """Places that put a segment of no length far from the long ones before and after it are left out."""
+    false = []
+    for n, c in enumerate(graph.closures):
+        i, j = sorted((c.first, c.second))
+        if not c.accepted or segment[i] == segment[j]:
+            continue
+        for at, other, seen in ((c.second, c.first, c.measured), (c.first, c.second, se2.inverse(c.measured))):
+            s = segment[at]
+            if long[s]:
+                continue
+            pose = np.asarray(se2.compose(graph.pose[other], seen))
+            before, after = np.flatnonzero(long[:s]), s + 1 + np.flatnonzero(long[s + 1 :])
+            near = [_away(graph, int(last[before[-1]]), at, pose)] if len(before) else []
+            near += [_away(graph, int(first[after[0]]), at, pose)] if len(after) else []
+            if near and min(near) > NEAR**2:
+                false.append(n)
+                break
+    if false:
+        _leave_out(graph, false, "it would have been carried twice")
+        graph.settle()
+
+
+def _tie(graph: KeyframeGraph, h: Hypothesis, at: Float[np.ndarray, "3"], k: int, share: str) -> None:
+    """A place that the search among places that leave no doubt had not found is on record, and holds."""
+    measured, information = se2.between(at, h.fit.pose), np.linalg.inv(h.fit.covariance)
+    found = Matched(True, share, measured, information, np.zeros(3), h.fit.share, None, h.score, h.ratio * h.score)
+    graph.close(h.at, k + h.anchor, found)
+
+
+def _leave_out(graph: KeyframeGraph, closures: Sequence[int] | Int[np.ndarray, " k"], why: str) -> None:
+    for n in np.asarray(closures, dtype=np.int64).tolist():
+        graph.closures[n] = replace(graph.closures[n], accepted=False, reason=f"{ELSEWHERE}, where {why}")
+
+
+def _away(graph: KeyframeGraph, start: int, end: int, pose: Float[np.ndarray, "3"]) -> float:
+    """How far `pose` lies from where the steps from keyframe `start` put keyframe `end` of its robot [squared sd]."""
+    low, high = sorted((start, end))
+    step, cov = np.zeros(3), np.zeros((3, 3))
+    for node in graph.nodes[low + 1 : high + 1]:
+        step, cov = np.asarray(se2.compose(step, node.step)), carried(cov, node.step) + node.cov
+    seen = se2.between(graph.pose[start], pose)
+    off = se2.between(step, seen if start == low else se2.inverse(seen))
+    return float(off @ np.linalg.solve(cov, off))
 
 
 def _map(graph: KeyframeGraph, rows: Int[np.ndarray, " k"], pose: Float[np.ndarray, "k 3"]) -> KeyframeMap:

@@ -49,8 +49,9 @@ class KeyframeGraphConfig:
 class KeyframeGraph:
     """nodes: the keyframes in the order they came; pose: (n, 3) of each in `map`; of: each robot's, by number;
     contradicted: the keyframes whose step places contradict, which is not believed then; loose: those after a border
-    whose step tells nothing, the robot having been carried; unclear: those after one that fit elsewhere about as well;
-    crew: (M,) of each robot the first of those that share its frame; `apart`: each has one of its own until it `meet`s.
+    whose step tells nothing, the robot having been carried; carried: those of them that views tell; unclear: those
+    after one that fit elsewhere about as well; crew: (M,) of each robot the first of those that share its frame;
+    `apart`: each has one of its own until it `meet`s.
     """
 
     def __init__(self, cfg: KeyframeGraphConfig, starts: Float[np.ndarray, "M 3"], *, apart: bool = False) -> None:
@@ -61,6 +62,7 @@ class KeyframeGraph:
             self.start_sd[1:] = START_SD
         self.contradicted: frozenset[int] = frozenset()
         self.loose: frozenset[int] = frozenset()
+        self.carried: frozenset[int] = frozenset()
         self.unclear: tuple[int, ...] = ()
         self.nodes: list[Keyframe] = []
         self.pose = np.zeros((0, 3))
@@ -101,7 +103,7 @@ class KeyframeGraph:
         """The same graph, which may grow and be solved without this one's knowing."""
         other = KeyframeGraph(self.cfg, np.array(self.starts))
         other.crew, other.start_sd = np.array(self.crew), np.array(self.start_sd)
-        other.contradicted, other.loose = self.contradicted, self.loose
+        other.contradicted, other.loose, other.carried = self.contradicted, self.loose, self.carried
         other.nodes, other.closures, other._since = list(self.nodes), list(self.closures), list(self._since)
         other.of = [list(of) for of in self.of]
         other.pose, other.robot, other.path = np.array(self.pose), self.robot, self.path
@@ -268,7 +270,7 @@ class KeyframeGraph:
         closures that did not hold before are not asked; they hold again where they fit what the others say. So that
         work does not grow with the square of the way, no more than `ASKED` of them are asked at all.
         """
-        self.contradicted, self.loose, self._settled = frozenset(), frozenset(), len(self)
+        self.contradicted, self.loose, self._settled = frozenset(), self.carried, len(self)
         every = not for_now or len(self) >= ANEW * self._asked
         self._asked = len(self) if every else self._asked
         self._leave_rivals()
