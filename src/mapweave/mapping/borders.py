@@ -16,7 +16,7 @@ from ..laser.keyframes import carried
 from ..laser.place_search import Fit
 from .keyframe_graph import CARRIED, ELSEWHERE, NEAR, KeyframeGraph
 from .map_overlap import KeyframeMap
-from .merge_search import AGREE, AGREE_TURN, Hypothesis, apart, candidates, hypotheses, same_place
+from .merge_search import AGREE, AGREE_TURN, Candidate, Hypothesis, apart, candidates, hypotheses, same_place
 from .segments import GAP, LONG, REFUSED
 
 LEAD = 2.0  # times the evidence of any other place that leaves no doubt
@@ -50,13 +50,7 @@ def decide_borders(graph: KeyframeGraph) -> tuple[int, ...]:
         after, over = np.flatnonzero(segment == s), np.flatnonzero((high == s) & (low < s)).tolist()
         if not over or graph.nodes[k].border == GAP or not long[s]:
             continue
-        a = _map(graph, np.arange(k), np.asarray(graph.pose[:k]))
-        b = _map(graph, after, np.asarray(se2.between(alone.pose[k], alone.pose[after])))
-        found = [_hypothesis(graph, n, k, b) for n in over]
-        alike = max(0.0, 1.0 - LENIENT * (a.own + b.own + BENDS))
-        ways = [(c.evidence(alike), c) for c in candidates(a, b, found)]
-        if max(e for e, _ in ways) <= 0.0:
-            ways += [(c.evidence(alike), c) for c in candidates(a, b, hypotheses(a, b))]
+        a, b, found, ways = _ways(graph, k, over, alone.pose[after])
         most, best = max(ways, key=lambda way: way[0])
         others = [e for e, c in ways if not same_place(b, c.transform, best.transform)]
         if others and (most <= 0.0 or LEAD * max(others) > most):
@@ -69,12 +63,31 @@ def decide_borders(graph: KeyframeGraph) -> tuple[int, ...]:
         if away.all():
             for h in best.members:
                 _tie(graph, h, a.pose[h.at], k, share)
-        before = np.flatnonzero(long[:s])[-1] if long[:s].any() else s - 1
-        if _away(graph, int(last[before]), k, best.transform) > CARRIED:
-            graph.carried |= {next((i for i in cuts[before:s] if graph.nodes[i].border == REFUSED), k)}
-        graph.settle()
+        before = int(last[np.flatnonzero(long[:s])[-1]]) if long[:s].any() else k - 1
+        carried_off = _away(graph, before, k, best.transform) > CARRIED
+        if carried_off:
+            graph.carried |= {next((i for i in cuts if before < i <= k and graph.nodes[i].border == REFUSED), k)}
+        if carried_off or away.any():
+            graph.settle()
     _hold_short(graph, segment, first, last, long)
     return tuple(unclear)
+
+
+def _ways(
+    graph: KeyframeGraph, k: int, over: Sequence[int], pose: Float[np.ndarray, "m 3"]
+) -> tuple[KeyframeMap, KeyframeMap, list[Hypothesis], list[tuple[float, Candidate]]]:
+    """The maps before keyframe `k` and of its segment, places `over` the border, and transforms with their evidence.
+
+    pose: of the segment's keyframes. Where all those places are contradicted, all that are possible are asked.
+    """
+    a = _map(graph, np.arange(k), np.asarray(graph.pose[:k]))
+    b = _map(graph, np.arange(k, k + len(pose)), np.asarray(se2.between(pose[0], pose)))
+    alike = max(0.0, 1.0 - LENIENT * (a.own + b.own + BENDS))
+    found = [_hypothesis(graph, n, k, b) for n in over]
+    ways = [(c.evidence(alike), c) for c in candidates(a, b, found)]
+    if max(e for e, _ in ways) <= 0.0:
+        ways += [(c.evidence(alike), c) for c in candidates(a, b, hypotheses(a, b))]
+    return a, b, found, ways
 
 
 def _hold_short(
