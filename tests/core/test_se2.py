@@ -71,6 +71,19 @@ def test_jacobians_agree_with_central_differences():
     np.testing.assert_allclose(se2.inverse_jacobian(a), numeric(se2.inverse, a), atol=1e-8)
 
 
+def test_one_pose_and_many_are_composed_inverted_and_wrapped_to_the_same_bits():
+    rng = np.random.default_rng(4)
+    a, b = (np.column_stack([rng.normal(0.0, 30.0, (500, 2)), rng.uniform(-9.0, 9.0, 500)]) for _ in range(2))
+    a[:9, 2], b[:9, 2] = np.repeat([np.pi, -np.pi, 0.0], 3), np.tile([np.pi, -np.pi, 0.0], 3)
+    a[9, 2], b[10, 0] = np.nan, np.inf
+    for one, many in (
+        ([se2.compose(p, q) for p, q in zip(a, b, strict=True)], se2.compose(a, b)),
+        ([se2.between(p, q) for p, q in zip(a, b, strict=True)], se2.between(a, b)),
+        ([se2.wrap_angle(p) for p in a[:, 2].tolist()], se2.wrap_angle(a[:, 2])),
+    ):
+        assert np.array(one).tobytes() == np.asarray(many).tobytes()
+
+
 def test_jacobians_of_one_pose_and_of_many_are_the_same():
     rng = np.random.default_rng(1)
     a, b = rng.uniform(-3, 3, 3), rng.uniform(-3, 3, (4, 5, 3))

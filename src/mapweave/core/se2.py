@@ -22,7 +22,13 @@ IDENTITY.setflags(write=False)
 
 def wrap_angle(angle: np.ndarray | float) -> Any:
     """`angle` [rad] brought into (-pi, pi]; a scalar in, a scalar out."""
+    if isinstance(angle, float):
+        return np.float64(_wrapped(float(angle)))
     return np.pi - np.mod(np.pi - np.asarray(angle, dtype=float), 2 * np.pi)
+
+
+def _wrapped(angle: float) -> float:
+    return np.pi - (np.pi - angle) % (2 * np.pi)
 
 
 def pose(x: float, y: float, theta: float) -> Float[np.ndarray, "3"]:
@@ -32,6 +38,8 @@ def pose(x: float, y: float, theta: float) -> Float[np.ndarray, "3"]:
 def compose(T_a_b: Pose, T_b_c: Pose) -> Pose:
     """`T_a_c`; broadcasts over leading axes; theta wrapped."""
     a, b = np.asarray(T_a_b, float), np.asarray(T_b_c, float)
+    if a.ndim == b.ndim == 1:
+        return _composed(a, b)
     c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
     return np.stack(
         [
@@ -46,8 +54,24 @@ def compose(T_a_b: Pose, T_b_c: Pose) -> Pose:
 def inverse(T_a_b: Pose) -> Pose:
     """`T_b_a`."""
     a = np.asarray(T_a_b, float)
+    if a.ndim == 1:
+        return _inverted(a)
     c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
     return np.stack([-c * a[..., 0] - s * a[..., 1], s * a[..., 0] - c * a[..., 1], wrap_angle(-a[..., 2])], axis=-1)
+
+
+def _composed(a: Float[np.ndarray, "3"], b: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """`compose` of two single poses, to the bit: arrays of so few numbers cost a multiple of the numbers."""
+    (x, y, theta), (u, v, turned) = a.tolist(), b.tolist()
+    c, s = float(np.cos(theta)), float(np.sin(theta))
+    return np.array([x + c * u - s * v, y + s * u + c * v, _wrapped(theta + turned)])
+
+
+def _inverted(a: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """`inverse` of a single pose, as `_composed`."""
+    x, y, theta = a.tolist()
+    c, s = float(np.cos(theta)), float(np.sin(theta))
+    return np.array([-c * x - s * y, s * x - c * y, _wrapped(-theta)])
 
 
 def between(T_a_b: Pose, T_a_c: Pose) -> Pose:

@@ -80,10 +80,10 @@ class Borders:
         step = se2.between(before, wheels)
         moved = np.array([np.hypot(step[0], step[1]), abs(step[2])])
         speed = moved / max(t - self._t, float(np.median(self._apart)))
-        usual = np.quantile(self._speed, 0.95, axis=0) if self._speed else np.zeros(2)
-        far = len(self._apart) >= LEARNED and bool(
-            ((moved > LEAP) & (speed > LEAP_TIMES * np.maximum(usual, SLOW))).any()
-        )
+        far = len(self._apart) >= LEARNED and bool((moved > LEAP).any())
+        if far:
+            usual = np.quantile(self._speed, 0.95, axis=0) if self._speed else np.zeros(2)
+            far = bool(((moved > LEAP) & (speed > LEAP_TIMES * np.maximum(usual, SLOW))).any())
         if (not far or self._leapt) and len(self._speed) < 10 * LEARNED:  # one after the other, they are a robot's way
             self._speed.append(speed)
         self._leapt = far
