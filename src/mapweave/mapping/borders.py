@@ -16,7 +16,17 @@ from ..laser.keyframes import carried
 from ..laser.place_search import Fit
 from .keyframe_graph import CARRIED, ELSEWHERE, NEAR, KeyframeGraph
 from .map_overlap import KeyframeMap
-from .merge_search import AGREE, AGREE_TURN, Candidate, Hypothesis, apart, candidates, hypotheses, same_place
+from .merge_search import (
+    AGREE,
+    AGREE_TURN,
+    LEAST_ALIKE,
+    Candidate,
+    Hypothesis,
+    apart,
+    candidates,
+    hypotheses,
+    same_place,
+)
 from .segments import GAP, LONG, REFUSED
 
 LEAD = 2.0  # times the evidence of any other place that leaves no doubt
@@ -29,8 +39,8 @@ def decide_borders(graph: KeyframeGraph) -> tuple[int, ...]:
     """Places over a border that lie elsewhere than what both sides saw agrees are left out, and the graph is settled.
 
     Each segment of some length is laid where its places put it among all before it. After a gap wheels decide, and
-    where it fits in one place alone and not without contradiction (people, outdoors, bent walls) all places stay as
-    they were decided. A short one stays near what came before it or after it: no robot is carried twice at once.
+    where it fits nowhere without contradiction (people, outdoors, bent walls) all places stay as they were decided. A
+    short one stays near what came before it or after it: no robot is carried twice at once.
     Returns the keyframes whose segments fit elsewhere about as well.
     """
     cuts = [i for i, node in enumerate(graph.nodes) if i and node.border]
@@ -52,11 +62,11 @@ def decide_borders(graph: KeyframeGraph) -> tuple[int, ...]:
             continue
         a, b, found, ways = _ways(graph, k, over, alone.pose[after])
         most, best = max(ways, key=lambda way: way[0])
+        if most <= 0.0 and best.evidence(LEAST_ALIKE) <= 0.0:
+            continue
         others = [e for e, c in ways if not same_place(b, c.transform, best.transform)]
         if others and (most <= 0.0 or LEAD * max(others) > most):
             unclear.append(k)
-        if most <= 0.0 and not others:
-            continue
         share = f"{100.0 * best.seen.share:.0f} % of what both sides saw is alike"
         away = apart(b, found, best.transform, 2.0 * AGREE, 2.0 * AGREE_TURN) > 1.0
         _leave_out(graph, np.array(over)[away], share)
