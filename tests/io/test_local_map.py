@@ -1,5 +1,8 @@
 """A local map is saved and read back to the bit, always as the same bytes."""
 
+import json
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,6 +11,7 @@ from mapweave.core.findings import Finding
 from mapweave.core.records import Track
 from mapweave.io.local_map import read_local_map, write_local_map
 from mapweave.landmarks.landmark_map import LocalMap, RobotSightings, Submap
+from mapweave.landmarks.view import View
 
 
 def some_map(robot="robot2", *, cov=True) -> LocalMap:
@@ -28,6 +32,7 @@ def some_map(robot="robot2", *, cov=True) -> LocalMap:
         calibration={"lag": (0.21, 0.01)},
         findings=(Finding("saw-nothing", robot, (1.0, 2.0), action="taken care of"),),
         first_seen={"9": 12.5},
+        view=View(4.5, -0.5, 0.25, 0.75),
     )
 
 
@@ -47,7 +52,18 @@ def test_a_local_map_is_read_back_as_it_was_written(tmp_path, cov):
     for name in ("robot", "sightings", "odometry", "source", "log_hash", "nis_median", "down_weighted", "dropped"):
         assert getattr(after, name) == getattr(before, name)
     assert (after.calibration, after.findings) == (before.calibration, before.findings)
-    assert after.first_seen == before.first_seen
+    assert (after.first_seen, after.view) == (before.first_seen, before.view)
+    write_local_map(tmp_path / "blind", replace(before, view=None))
+    assert read_local_map(tmp_path / "blind").view is None
+
+
+@pytest.mark.parametrize("told", ["7", '{"reach": 1}', '{"left": 1, "rate": 2, "reach": 1, "right": 0}'])
+def test_a_view_that_no_sensor_has_is_an_error(tmp_path, told):
+    write_local_map(tmp_path, some_map())
+    header = json.loads((tmp_path / "local_map.json").read_text())
+    (tmp_path / "local_map.json").write_text(json.dumps(header | {"view": json.loads(told)}))
+    with pytest.raises(ReaderError, match="view: expected"):
+        read_local_map(tmp_path)
 
 
 def test_the_same_map_is_the_same_bytes(tmp_path):

@@ -10,6 +10,7 @@ from ..core.errors import ReaderError
 from ..core.findings import Finding, finding_of
 from ..core.records import Track
 from ..landmarks.landmark_map import LocalMap, RobotSightings, Submap
+from ..landmarks.view import View
 from .directory import read_json, write_json
 from .npz import Spec, read_npz, write_npz
 
@@ -63,6 +64,7 @@ def read_local_map(folder: Path) -> LocalMap:
         calibration=held.calibration(),
         findings=held.findings(),
         first_seen=held.stamps("first_seen", ids),
+        view=held.view(),
     )
 
 
@@ -103,6 +105,19 @@ class _Header:
         if not isinstance(value, dict) or not all(key in known and _is_number(t) for key, t in value.items()):
             raise self._wrong(name, "landmarks with seconds", value)
         return {key: float(t) for key, t in value.items()}
+
+    def view(self) -> View | None:
+        """What its sensor sees; None where the file does not tell."""
+        value = self.values.get("view")
+        if value is None:
+            return None
+        names = tuple(View.__slots__)
+        if not isinstance(value, dict) or set(value) != set(names) or not all(map(_is_number, value.values())):
+            raise self._wrong("view", f"{', '.join(names)} or null", value)
+        view = View(*(float(value[name]) for name in names))
+        if not (view.reach > 0 and 0 <= view.rate <= 1):
+            raise self._wrong("view", "a reach above 0 and a rate of 0 to 1", value)
+        return view
 
     def findings(self) -> tuple[Finding, ...]:
         """Those of the file; the sentences that an older file has in their place."""
@@ -157,6 +172,7 @@ def write_local_map(folder: Path, local: LocalMap) -> None:
         "calibration": {name: {"value": v, "sd": sd} for name, (v, sd) in local.calibration.items()},
         "landmarks": {name: local.sightings.get(name, 0) for name in submap.ids},
         "first_seen": {name: local.first_seen[name] for name in submap.ids if name in local.first_seen},
+        "view": None if local.view is None else {name: getattr(local.view, name) for name in View.__slots__},
         "robot_sightings": {name: seen.target.count(name) for name in sorted(set(seen.target))},
         "poses": len(track.t),
     }

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from ..core import se2
 from ..core.findings import Finding
 from ..core.records import Track, frozen
+from .view import View
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +95,8 @@ class LocalMap:
 
     `sightings` counts those each landmark was made of, `first_seen` holds the stamp [s] of the first of them;
     `calibration` holds the sensor parameters estimated, by name, as (value, standard deviation); `log_hash` tells two
-    runs over the same log from two logs; `restless`: names left out of the map, since they had no fixed place in it.
+    runs over the same log from two logs; `restless`: names left out of the map, since they had no fixed place in it;
+    `view`: what its sensor sees, where its log tells.
     """
 
     robot: str
@@ -112,6 +114,7 @@ class LocalMap:
     findings: tuple[Finding, ...] = ()
     first_seen: Mapping[str, float] = field(default_factory=dict)
     restless: tuple[str, ...] = ()
+    view: View | None = None
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -27,6 +27,7 @@ from .config import (
 )
 from .ekf_replay import ReplayedLog, replay
 from .landmark_map import LocalMap, RobotSightings
+from .view import view_of
 from .without_odometry import Known, parts, replay_in_pieces
 
 MOST_SPEED = 1e3  # [m/s] beyond which a command is no command
@@ -161,6 +162,7 @@ def _result(
         calibration=_calibration(done, cfg),
         findings=tuple(findings),
         first_seen={name: t for name, t in done.seen.first().items() if name in counts},
+        view=view_of(done.track, done.seen, done.submap.ids, done.submap.mean),
     )
 
 
