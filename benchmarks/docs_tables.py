@@ -113,6 +113,8 @@ TABLES = (
     Table("joining", "docs/methods/joining.md", bench("real_sets", "--table", "whole"), "stdout"),
     Table("unequal maps", "docs/methods/joining.md", bench("real_sets", "--table", "unequal"), "stdout"),
     Table("without names", "docs/methods/joining.md", bench("real_sets", "--table", "names"), "stdout"),
+    Table("identities", "docs/methods/joining.md", bench("identities", "--seed", "500"), "stdout"),
+    Table("renaming", "docs/methods/joining.md", bench("renaming", "--seed", "500"), "stdout"),
     Table("fusing at once", "docs/methods/joining.md", bench("fusion", "--robots", "50"), "stdout"),
     Table("kojima asserted", FUSION, bench("asserted"), "stdout"),
     *paper("kojima", FUSION, ("table2", "unequal", "identities"), ("trace", "honesty", "settling")),

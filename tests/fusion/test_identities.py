@@ -66,6 +66,85 @@ def test_a_regular_grid_fits_in_many_ways_and_is_refused():
     assert "another alignment" in match.reason
 
 
+def part_of(points, rng, share):
+    """A map of the landmarks nearest to one side, but for a few."""
+    heading = rng.uniform(-np.pi, np.pi)
+    nearest = np.argsort(points @ [np.cos(heading), np.sin(heading)])[: int(share * len(points))]
+    at = points[rng.permutation(nearest[rng.random(len(nearest)) > 0.1])]
+    names = tuple(map(str, range(len(at))))
+    return LandmarkMap(names, at + rng.normal(0, 0.01, at.shape), 1e-4 * np.eye(2 * len(at)))
+
+
+def place(kind, rng):
+    if kind == "grid":
+        return np.stack(np.meshgrid(np.arange(6.0), np.arange(5.0)), axis=-1).reshape(-1, 2)
+    if kind == "street":
+        return np.stack(np.meshgrid(1.5 * np.arange(14), [0.0, 2.5]), axis=-1).reshape(-1, 2)
+    if kind == "rooms":
+        room = rng.uniform(0, 2, (7, 2))
+        return np.concatenate([room + np.array([3.0 * k, 0.0]) for k in range(4)])
+    times, part = {"circle": (20, np.array([[3.0, 0.0]])), "quarters": (4, rng.uniform(-3, 3, (7, 2)))}[kind]
+    return np.concatenate([se2.act(np.array([0, 0, 2 * np.pi * k / times]), part) for k in range(times)])
+
+
+@pytest.mark.parametrize("kind", ["grid", "street", "circle", "rooms", "quarters"])
+def test_parts_of_a_place_that_repeats_itself_are_never_laid_on_another(kind):
+    """However much likelier the alignment of most links is: it lays a part on another that is alike."""
+    for draw in range(20):
+        rng = np.random.default_rng([13, draw])
+        points, share = place(kind, rng), rng.uniform(0.5, 1.0)
+        match = match_maps(part_of(points, rng, share), part_of(points, rng, share))
+        assert not match.accepted
+        assert match.reason
+
+
+def test_a_rival_is_found_behind_hundreds_of_hypotheses_of_the_best_alignment():
+    points = place("quarters", np.random.default_rng(14))
+    m = LandmarkMap(tuple(map(str, range(28))), points, 1e-4 * np.eye(56))
+    match = match_maps(m, m)
+    assert match.rival == 28
+    assert not match.accepted
+
+
+def test_a_place_that_repeats_little_of_itself_is_matched():
+    rng = np.random.default_rng(15)
+    pattern = rng.uniform(0, 2, (7, 2))
+    points = np.concatenate([pattern, pattern + np.array([6.0, 1.0]), rng.uniform([-1, -4], [8, 0], (10, 2))])
+    m = LandmarkMap(tuple(map(str, range(24))), points, 1e-4 * np.eye(48))
+    match = match_maps(m, m)
+    assert match.accepted
+    assert match.rival >= 7
+    assert match.rival_evidence > 5
+
+
+def looking(part):
+    """The robot looked where `part` of a point says, and maps all but one in ten of what stands there."""
+    return lambda points: 0.9 * part(points).astype(float)
+
+
+def test_where_robots_looked_is_evidence_for_a_match_and_against_it():
+    """Six in common at the border of two maps: alone or in the crowd of what only one of both has."""
+    rng = np.random.default_rng(16)
+    shared, one, two = (rng.uniform([x, 0], [x + w, 3], (k, 2)) for x, w, k in ((3, 1, 6), (0, 3, 14), (4, 3, 14)))
+
+    def a_map(*parts):
+        at = np.concatenate(parts)
+        return LandmarkMap(
+            tuple(map(str, range(len(at)))), at + rng.normal(0, 0.01, at.shape), 1e-4 * np.eye(2 * len(at))
+        )
+
+    source, target = a_map(shared, one), a_map(shared, two)
+    mapped = looking(lambda p: p[:, 0] < 4), looking(lambda p: p[:, 0] > 3)
+    blind, told = match_maps(source, target), match_maps(source, target, mapped=mapped)
+    assert told.accepted
+    assert told.evidence > blind.evidence + 5
+    everywhere = looking(lambda p: p[:, 0] < 9)
+    against = match_maps(source, target, mapped=(everywhere, everywhere))
+    assert not against.accepted
+    assert against.evidence < blind.evidence - 5
+    assert match_maps(source, target, mapped=(everywhere, None)).evidence == blind.evidence
+
+
 def test_a_mirrored_map_is_not_a_match():
     rng = np.random.default_rng(3)
     points = rng.uniform(0, 3, (12, 2))

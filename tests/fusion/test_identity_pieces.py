@@ -289,16 +289,24 @@ def test_a_rival_must_fit_and_be_another_alignment():
 
 def test_a_match_is_refused_for_too_few_links_a_rival_as_likely_a_misfit_or_as_chance():
     links = np.zeros((7, 2), dtype=int)
-    good = candidate(links, 10.0)
-    enough = np.log(IDENTITY_ODDS)
-    assert _refusal(good, 0, 7.0) == ""
-    assert "are needed" in _refusal(candidate(links[: IDENTITY_LINKS - 1], 9.0), 0, 7.0)
-    assert _refusal(candidate(links[:IDENTITY_LINKS], 9.0), 0, 6.0) == ""
-    assert "another alignment" in _refusal(good, 6, enough - 0.01)
-    assert _refusal(good, 6, enough + 0.01) == ""
+    odds, chance = np.log(IDENTITY_ODDS), np.log(IDENTITY_CHANCE)
+
+    def refused(best, count, evidence):
+        return _refusal(best, [candidate(links[:count], 1.0, evidence), candidate(links[:6], 1.0, -9.0)])
+
+    good = candidate(links, 10.0, odds + 0.5)
+    assert _refusal(good, []) == ""
+    assert "are needed" in _refusal(candidate(links[: IDENTITY_LINKS - 1], 9.0, 7.0), [])
+    assert _refusal(candidate(links[:IDENTITY_LINKS], 9.0, 6.0), []) == ""
+    assert "4 do as well in another alignment" in refused(good, 4, 0.51)
+    assert refused(good, 4, 0.49) == ""
+    sure = candidate(links, 10.0, 50.0)
+    assert "and 4 in another alignment too: the place repeats itself" in refused(sure, 4, chance + 0.01)
+    assert refused(sure, 4, chance - 0.01) == ""
+    assert refused(sure, 3, chance + 0.01) == ""
     limit = CHI2_PER_DOF * 11
-    assert _refusal(candidate(links, 0.99 * limit), 0, 7.0) == ""
-    assert "do not fit" in _refusal(candidate(links, 1.01 * limit), 0, 7.0)
+    assert _refusal(candidate(links, 0.99 * limit, 7.0), []) == ""
+    assert "do not fit" in _refusal(candidate(links, 1.01 * limit, 7.0), [])
     assert _chance(candidate(links, 1.0, np.log(IDENTITY_CHANCE) + 0.01), 20, 20) == ""
     assert "may be chance" in _chance(candidate(links, 1.0, np.log(IDENTITY_CHANCE) - 0.01), 20, 20)
 

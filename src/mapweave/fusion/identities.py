@@ -6,7 +6,7 @@ pairs while that makes the joint chi-square smaller. Of what is found the likeli
 than chance: so many ways there are to pair a few landmarks of two maps that some pairing nearly always fits.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,13 +22,17 @@ IDENTITY_LINKS = 6  # landmarks that must agree before a match is believed
 NAMED_LINKS = 3  # landmarks of one name that must agree before two maps are one
 IDENTITY_CHANCE = 5.0  # how much likelier than chance, all ways to pair as many landmarks counted
 IDENTITY_ODDS = 5.0  # how much likelier than any other alignment
+IDENTITY_REPEATED = 0.5  # share of its links that another alignment beyond chance may have
 IDENTITY_LOOSE = 0.05  # probability that maps err by noise and scale too, before they are compared
 IDENTITY_TIGHT = 0.1  # share of noise and scale that is left where they do not
 CHI2_PER_DOF = 3.0  # chi-square per degree of freedom up to which a match is believed
 IDENTITY_RIVALS = 8  # distinct alignments that are worked out
 IDENTITY_LONE = 18.0  # chi-square (two degrees) that one link alone may add
+OVERLAPPING = np.log(4.0)  # over how many times one's area the other of two maps alike may lie and still touch it
 
 CHUNK = 2_000_000  # distances held at once
+GRID = 15  # points along either side of a map at which it is asked where its robot looked
+BATCH = 320  # alignments compared with those chosen at once: nearly all near the first are among so many
 
 
 @config
@@ -74,10 +78,25 @@ class AlignmentCandidate:
     evidence: float
 
 
-def match_maps(source: LandmarkMap, target: LandmarkMap, cfg: IdentityConfig | None = None) -> Match:
-    """The landmarks that `source` and `target` have in common, names ignored; refused with a reason when unsure."""
+Mapped = Callable[[Float[np.ndarray, "n 2"]], Float[np.ndarray, " n"]]
+"""The probability that a robot has landmarks at n points of its frame in its map, if there are any."""
+
+
+def match_maps(
+    source: LandmarkMap,
+    target: LandmarkMap,
+    cfg: IdentityConfig | None = None,
+    mapped: tuple[Mapped | None, Mapped | None] = (None, None),
+) -> Match:
+    """The landmarks that `source` and `target` have in common, names ignored; refused with a reason when unsure.
+
+    mapped: of the robots that made `source` and `target`. With both, a landmark of one map that is none of the other's
+    although it stands where the other's robot looked is evidence against an alignment.
+    """
     cfg = cfg or IdentityConfig()
-    candidates = [_weighed(source, target, T, cfg) for T in _proposals(source, target, cfg)]
+    here, there = mapped
+    looked = None if here is None or there is None or not len(source) else _Looked.of(source, target, here, there)
+    candidates = [_weighed(source, target, T, cfg, looked) for T in _proposals(source, target, cfg)]
     candidates = [c for c in candidates if len(c.links) >= 2]
     if not candidates:
         none = np.zeros((0, 2), dtype=np.intp)
@@ -89,9 +108,8 @@ def match_maps(source: LandmarkMap, target: LandmarkMap, cfg: IdentityConfig | N
     rivals = [c for c in candidates[1:] if _rivals(c, best, source, target, cfg)]
     rival = max((len(c.links) for c in rivals), default=0)
     second = max((c.evidence for c in rivals), default=-np.inf)
-    lead = best.evidence - second
     k = len(best.links)
-    reason = _refusal(best, rival, lead if k > 2 else 0.0) or _chance(best, len(source), len(target))
+    reason = _refusal(best, rivals) or _chance(best, len(source), len(target))
     return Match(best.links, best.fit.T, best.fit.chi2, 2 * k - 3, rival, not reason, reason, best.evidence, second)
 
 
@@ -119,12 +137,21 @@ def _per_dof(value: float) -> str:
     return f"chi-square per degree of freedom {value:.1f}"
 
 
-def _refusal(best: AlignmentCandidate, rival: int, lead: float) -> str:
+def _refusal(best: AlignmentCandidate, rivals: Sequence[AlignmentCandidate]) -> str:
+    """Why `best` is not believed beside `rivals`; "" where there is no reason.
+
+    A rival beyond chance says that the place repeats itself: however much likelier the best one is, it may lay a part
+    on another that is alike, unless it links far more than what repeats.
+    """
     k = len(best.links)
     if k < IDENTITY_LINKS:
         return f"{k} landmarks fit together, {IDENTITY_LINKS} are needed"
-    if lead < np.log(IDENTITY_ODDS):
-        return f"{k} landmarks fit together, but {rival} do as well in another alignment"
+    as_well = [len(c.links) for c in rivals if c.evidence > best.evidence - np.log(IDENTITY_ODDS)]
+    if as_well:
+        return f"{k} landmarks fit together, but {max(as_well)} do as well in another alignment"
+    repeated = max((len(c.links) for c in rivals if c.evidence >= np.log(IDENTITY_CHANCE)), default=0)
+    if repeated > IDENTITY_REPEATED * k:
+        return f"{k} landmarks fit together, and {repeated} in another alignment too: the place repeats itself"
     per_dof = best.fit.chi2 / (2 * k - 3)
     if per_dof > CHI2_PER_DOF:
         return f"the {k} landmarks that lie together do not fit: {_per_dof(per_dof)}"
@@ -150,13 +177,18 @@ def _fits(c: AlignmentCandidate) -> bool:
 
 
 def _weighed(
-    source: LandmarkMap, target: LandmarkMap, T: Float[np.ndarray, "3"], cfg: IdentityConfig
+    source: LandmarkMap,
+    target: LandmarkMap,
+    T: Float[np.ndarray, "3"],
+    cfg: IdentityConfig,
+    looked: "_Looked | None" = None,
 ) -> AlignmentCandidate:
     """The alignment begun at T with the links that are most evidence, those that are none let go."""
     links, fit = _worked_out(source, target, T, cfg)
     if len(links) <= 2:
         return AlignmentCandidate(links, fit, -np.inf)
     area = max(min(spread_area(source), spread_area(target)), 1e-12)
+    overlap = None if looked is None else looked.overlap(fit)
     models = (
         (cfg.noise, cfg.scale_sigma, IDENTITY_LOOSE),
         (IDENTITY_TIGHT * cfg.noise, IDENTITY_TIGHT * cfg.scale_sigma, 1 - IDENTITY_LOOSE),
@@ -167,7 +199,7 @@ def _weighed(
         while True:
             refit = joint_fit(source, target, kept, fit.T, noise, scale_sigma)
             known = log_evidence(source, target, kept, refit, area, noise, scale_sigma) + np.log(share)
-            evidence = known - log_correspondences(len(kept), len(source), len(target))
+            evidence = known + _log_pairing(kept, len(source), len(target), overlap)
             if evidence <= before:
                 break
             best, before = max(best, (evidence, kept), key=lambda b: b[0]), evidence
@@ -178,6 +210,56 @@ def _weighed(
         links = best[1]
         fit = joint_fit(source, target, links, fit.T, cfg.noise, cfg.scale_sigma)
     return AlignmentCandidate(links, fit, float(best[0]))
+
+
+@dataclass(frozen=True, slots=True)
+class _Overlap:
+    """Two maps laid on each other: where the robot of one looked among the other's landmarks.
+
+    source, target: (n,) and (m,) the probability of each landmark to be in the other map too; expected: how many
+    landmarks both should hold.
+    """
+
+    source: Float[np.ndarray, " n"]
+    target: Float[np.ndarray, " m"]
+    expected: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Looked:
+    """What overlaps are worked out from. grid: points where `source` lies; held: their probabilities there."""
+
+    maps: tuple[LandmarkMap, LandmarkMap]
+    mapped: tuple[Mapped, Mapped]
+    grid: Float[np.ndarray, "g 2"]
+    held: Float[np.ndarray, " g"]
+
+    @classmethod
+    def of(cls, source: LandmarkMap, target: LandmarkMap, here: Mapped, there: Mapped) -> "_Looked":
+        x, y = (np.linspace(p.min(), p.max(), GRID) for p in source.mean.T)
+        grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        return cls((source, target), (here, there), grid, here(grid))
+
+    def overlap(self, fit: JointFit) -> _Overlap:
+        (source, target), (here, there) = self.maps, self.mapped
+        both = there(np.concatenate([se2.act(fit.T, fit.scale * p) for p in (source.mean, self.grid)]))
+        n = len(source)
+        shared = n * float(both[n:] @ self.held) / max(float(self.held.sum()), 1e-12)
+        return _Overlap(both[:n], here(se2.act(se2.inverse(fit.T), target.mean) / fit.scale), shared)
+
+
+def _log_pairing(links: Int[np.ndarray, "k 2"], n: int, m: int, overlap: _Overlap | None) -> float:
+    """Logarithm of how much likelier one place is than two for who is linked and who is not.
+
+    Where nobody knows where the robots looked, all ways to pair as many landmarks are alike. Else landmarks are Poisson
+    points, as dense as in the map of more: links are rare by chance, unlinked ones where both looked rare in one place.
+    """
+    k = len(links)
+    if overlap is None:
+        return -log_correspondences(k, n, m)
+    alone = np.delete(overlap.source, links[:, 0]), np.delete(overlap.target, links[:, 1])
+    missed = sum(float(np.log1p(-p).sum()) for p in alone)
+    return float(overlap.expected - k * np.log(max(n, m)) + missed - OVERLAPPING)
 
 
 def _distinct(
@@ -217,14 +299,27 @@ def _proposals(source: LandmarkMap, target: LandmarkMap, cfg: IdentityConfig) ->
         d = aligned[:, :, None] - t
         near = 1.0 - (d.real**2 + d.imag**2) / gates2
         score[a : a + step] = np.maximum(near.max(axis=2), 0.0).sum(axis=1)
+    near2 = np.median(gates2)
     out: list[np.ndarray] = []
-    for h in np.argsort(-score, kind="stable")[: 40 * IDENTITY_RIVALS]:
-        T = se2.pose(shift[h].real, shift[h].imag, float(np.angle(turn[h])))
-        if all(_distinct(T, U, source, target, cfg) for U in out):
-            out.append(T)
-            if len(out) == IDENTITY_RIVALS:
-                break
+    best = np.argsort(-score, kind="stable")
+    for a in range(0, len(best), BATCH):
+        left = best[a : a + BATCH]
+        for U in out:
+            left = left[_moved_by(turn[left], shift[left], U, s) > near2]
+        while len(left) and len(out) < IDENTITY_RIVALS:
+            out.append(se2.pose(shift[left[0]].real, shift[left[0]].imag, float(np.angle(turn[left[0]]))))
+            left = left[_moved_by(turn[left], shift[left], out[-1], s) > near2]
+        if len(out) == IDENTITY_RIVALS:
+            break
     return out
+
+
+def _moved_by(
+    turn: np.ndarray, shift: np.ndarray, U: Float[np.ndarray, "3"], points: np.ndarray
+) -> Float[np.ndarray, " h"]:
+    """How far from where U puts them each of h alignments puts points of the complex plane, squared, the median."""
+    apart = (turn - np.exp(1j * U[2]))[:, None] * points + (shift - complex(U[0], U[1]))[:, None]
+    return np.asarray(np.median(apart.real**2 + apart.imag**2, axis=1))
 
 
 def _hypotheses(source: LandmarkMap, target: LandmarkMap, cfg: IdentityConfig) -> tuple[np.ndarray, np.ndarray]:
@@ -350,19 +445,26 @@ class Identified:
     reasons: Mapping[int, str] = field(default_factory=dict)
 
 
-def identify(maps: Sequence[LandmarkMap], robots: Sequence[str], cfg: IdentityConfig | None = None) -> Identified:
+def identify(
+    maps: Sequence[LandmarkMap],
+    robots: Sequence[str],
+    cfg: IdentityConfig | None = None,
+    mapped: Sequence[Mapped | None] = (),
+) -> Identified:
     """`maps` with names that mean the same landmark in all of them; the names they came with mean nothing.
 
     Every pair of maps is matched, the surest matches are believed first, and no landmark is one with two of another
-    map. A common name is the one it has in its first map, prefixed by the robot where that is taken already.
+    map. A common name is the one it has in its first map, prefixed by the robot where that is taken already. mapped:
+    what `match_maps` takes, of every robot or of none.
     """
+    mapped = mapped or [None] * len(maps)
     classes: dict[tuple[int, str], set[tuple[int, str]]] = {(k, i): {(k, i)} for k, m in enumerate(maps) for i in m.ids}
     matched: set[int] = set()
     refusals: dict[int, str] = {}
     matches = []
     for a in range(len(maps)):
         for b in range(a + 1, len(maps)):
-            match = match_maps(maps[a], maps[b], cfg)
+            match = match_maps(maps[a], maps[b], cfg, (mapped[a], mapped[b]))
             if match.accepted:
                 matches.append((-len(match.links), match.chi2 / max(match.dof, 1), a, b, match.links))
                 matched |= {a, b}

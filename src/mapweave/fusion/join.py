@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -59,7 +60,8 @@ def fuse(
     labels: dict[str, dict[str, str]] = {}
     nameless: dict[int, str] = {}
     if cfg.identities == "unknown":
-        identified = identify(landmarks, names, cfg.matching)
+        mapped = [None if m.view is None else partial(m.view.mapped, m.track) for m in sound]
+        identified = identify(landmarks, names, cfg.matching, mapped)
         landmarks, nameless = list(identified.maps), dict(identified.reasons)
         labels = {names[k]: dict(new) for k, new in identified.labels.items() if new}
         recordings = None  # names were found from geometry: they have one meaning now
