@@ -292,12 +292,12 @@ def test_a_match_is_refused_for_too_few_links_a_rival_as_likely_a_misfit_or_as_c
     odds, chance = np.log(IDENTITY_ODDS), np.log(IDENTITY_CHANCE)
 
     def refused(best, count, evidence):
-        return _refusal(best, [candidate(links[:count], 1.0, evidence), candidate(links[:6], 1.0, -9.0)])
+        return _refusal(best, [candidate(links[:count], 1.0, evidence), candidate(links[:6], 1.0, -9.0)], chance)
 
     good = candidate(links, 10.0, odds + 0.5)
-    assert _refusal(good, []) == ""
-    assert "are needed" in _refusal(candidate(links[: IDENTITY_LINKS - 1], 9.0, 7.0), [])
-    assert _refusal(candidate(links[:IDENTITY_LINKS], 9.0, 6.0), []) == ""
+    assert _refusal(good, [], chance) == ""
+    assert "are needed" in _refusal(candidate(links[: IDENTITY_LINKS - 1], 9.0, 7.0), [], chance)
+    assert _refusal(candidate(links[:IDENTITY_LINKS], 9.0, 6.0), [], chance) == ""
     assert "4 do as well in another alignment" in refused(good, 4, 0.51)
     assert refused(good, 4, 0.49) == ""
     sure = candidate(links, 10.0, 50.0)
@@ -305,10 +305,10 @@ def test_a_match_is_refused_for_too_few_links_a_rival_as_likely_a_misfit_or_as_c
     assert refused(sure, 4, chance - 0.01) == ""
     assert refused(sure, 3, chance + 0.01) == ""
     limit = CHI2_PER_DOF * 11
-    assert _refusal(candidate(links, 0.99 * limit, 7.0), []) == ""
-    assert "do not fit" in _refusal(candidate(links, 1.01 * limit, 7.0), [])
-    assert _chance(candidate(links, 1.0, np.log(IDENTITY_CHANCE) + 0.01), 20, 20) == ""
-    assert "may be chance" in _chance(candidate(links, 1.0, np.log(IDENTITY_CHANCE) - 0.01), 20, 20)
+    assert _refusal(candidate(links, 0.99 * limit, 7.0), [], chance) == ""
+    assert "do not fit" in _refusal(candidate(links, 1.01 * limit, 7.0), [], chance)
+    assert _chance(candidate(links, 1.0, chance + 0.01), 20, 20, chance) == ""
+    assert "may be chance" in _chance(candidate(links, 1.0, chance - 0.01), 20, 20, chance)
 
 
 def crowded(off, seed=8):

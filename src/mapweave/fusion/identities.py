@@ -21,6 +21,7 @@ from .alignment import JointFit, joint_fit, log_correspondences, log_evidence, s
 IDENTITY_LINKS = 6  # landmarks that must agree before a match is believed
 NAMED_LINKS = 3  # landmarks of one name that must agree before two maps are one
 IDENTITY_CHANCE = 5.0  # how much likelier than chance, all ways to pair as many landmarks counted
+IDENTITY_LOOKED = 1000.0  # the same where it is known where the robots looked: six right links are worth far more
 IDENTITY_ODDS = 5.0  # how much likelier than any other alignment
 IDENTITY_REPEATED = 0.5  # share of its links that another alignment beyond chance may have
 IDENTITY_LOOSE = 0.05  # probability that maps err by noise and scale too, before they are compared
@@ -109,7 +110,8 @@ def match_maps(
     rival = max((len(c.links) for c in rivals), default=0)
     second = max((c.evidence for c in rivals), default=-np.inf)
     k = len(best.links)
-    reason = _refusal(best, rivals) or _chance(best, len(source), len(target))
+    chance = float(np.log(IDENTITY_CHANCE if looked is None else IDENTITY_LOOKED))
+    reason = _refusal(best, rivals, chance) or _chance(best, len(source), len(target), chance)
     return Match(best.links, best.fit.T, best.fit.chi2, 2 * k - 3, rival, not reason, reason, best.evidence, second)
 
 
@@ -137,8 +139,8 @@ def _per_dof(value: float) -> str:
     return f"chi-square per degree of freedom {value:.1f}"
 
 
-def _refusal(best: AlignmentCandidate, rivals: Sequence[AlignmentCandidate]) -> str:
-    """Why `best` is not believed beside `rivals`; "" where there is no reason.
+def _refusal(best: AlignmentCandidate, rivals: Sequence[AlignmentCandidate], chance: float) -> str:
+    """Why `best` is not believed beside `rivals`; "" where there is no reason. chance: evidence that is beyond it.
 
     A rival beyond chance says that the place repeats itself: however much likelier the best one is, it may lay a part
     on another that is alike, unless it links far more than what repeats.
@@ -149,7 +151,7 @@ def _refusal(best: AlignmentCandidate, rivals: Sequence[AlignmentCandidate]) -> 
     as_well = [len(c.links) for c in rivals if c.evidence > best.evidence - np.log(IDENTITY_ODDS)]
     if as_well:
         return f"{k} landmarks fit together, but {max(as_well)} do as well in another alignment"
-    repeated = max((len(c.links) for c in rivals if c.evidence >= np.log(IDENTITY_CHANCE)), default=0)
+    repeated = max((len(c.links) for c in rivals if c.evidence >= chance), default=0)
     if repeated > IDENTITY_REPEATED * k:
         return f"{k} landmarks fit together, and {repeated} in another alignment too: the place repeats itself"
     per_dof = best.fit.chi2 / (2 * k - 3)
@@ -158,8 +160,8 @@ def _refusal(best: AlignmentCandidate, rivals: Sequence[AlignmentCandidate]) -> 
     return ""
 
 
-def _chance(best: AlignmentCandidate, n: int, m: int) -> str:
-    if best.evidence >= np.log(IDENTITY_CHANCE):
+def _chance(best: AlignmentCandidate, n: int, m: int, chance: float) -> str:
+    if best.evidence >= chance:
         return ""
     return f"that {len(best.links)} landmarks of {n} and {m} fit together may be chance"
 
