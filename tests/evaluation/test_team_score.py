@@ -8,7 +8,7 @@ import pytest
 from mapweave.core import se2
 from mapweave.core.records import Track
 from mapweave.core.truth import Survey
-from mapweave.evaluation.landmarks import find_exchanges, naive_mean, score_landmarks
+from mapweave.evaluation.landmarks import exchanges_told, find_exchanges, naive_mean, score_landmarks
 from mapweave.evaluation.team import RobotTruth, as_json, score_team
 from mapweave.evaluation.trajectory import ate, paired, rpe
 from mapweave.landmarks.landmark_map import LandmarkMap
@@ -67,7 +67,7 @@ def test_exchanged_labels_are_named_and_swapped_back():
     assert [(e.a, e.b) for e in found] == [("9", "15")]
     assert found[0].before > 0.5
     assert found[0].after < 0.04
-    assert str(found[0]).startswith("9 and 15 look exchanged: ")
+    assert exchanges_told(found)[0].startswith("9 and 15 look exchanged: ")
     assert score_landmarks(a_map(survey), mended).rmse == pytest.approx(found[0].after, rel=1e-9)
 
 
@@ -78,6 +78,34 @@ def test_two_exchanges_are_both_found():
         names[i], names[j] = names[j], names[i]
     found, _ = find_exchanges(a_map(survey), Survey(tuple(names), survey.xy))
     assert {frozenset((e.a, e.b)) for e in found} == {frozenset(("9", "15")), frozenset(("7", "18"))}
+
+
+@pytest.mark.parametrize("rings", [((3, 9, 1),), ((0, 5, 11, 2, 7),), ((3, 9, 1), (4, 6)), (tuple(range(15)),)])
+def test_rings_of_labels_are_named_and_put_back(rings):
+    survey = a_survey(15)
+    names = list(survey.ids)
+    for ring in rings:
+        for k, following in zip(ring, (*ring[1:], ring[0]), strict=True):
+            names[k] = survey.ids[following]
+    found, mended = find_exchanges(a_map(survey), Survey(tuple(names), survey.xy))
+    assert len(found) == sum(len(ring) - 1 for ring in rings)
+    assert {name for e in found for name in (e.a, e.b)} == {survey.ids[k] for ring in rings for k in ring}
+    assert score_landmarks(a_map(survey), mended).rmse == pytest.approx(found[-1].after, rel=1e-9)
+    assert found[-1].after < 0.04
+    assert dict(zip(mended.ids, mended.xy.tolist(), strict=True)) == dict(
+        zip(survey.ids, survey.xy.tolist(), strict=True)
+    )
+    sentences = exchanges_told(found)
+    assert len(sentences) == len(rings)
+    assert all(", each for the next: " in s for s, ring in zip(sentences, sorted(rings), strict=True) if len(ring) > 2)
+
+
+def test_labels_of_a_place_that_looks_the_same_in_any_order_are_left():
+    at = np.stack(np.meshgrid(np.arange(4.0), np.arange(4.0)), axis=-1).reshape(-1, 2)
+    names = tuple(str(k) for k in range(16))
+    ours = LandmarkMap(names, at, 1e-4 * np.eye(32))
+    turned = Survey(tuple(np.roll(names, 3)), at)
+    assert not any(", each for" in s for s in exchanges_told(find_exchanges(ours, turned)[0]))
 
 
 def test_the_swap_chosen_is_the_best_of_all_swaps():

@@ -19,6 +19,7 @@ from ..core.records import Track
 from ..core.truth import NO_SURVEY, Relations, Survey
 from ..core.workers import one_blas_thread
 from ..evaluation.belonging import STILL
+from ..evaluation.landmarks import exchanges_told
 from ..evaluation.swarm import StandingSwarm, SwarmScore, score_moving, score_standing
 from ..evaluation.team import LOOSE, RobotTruth, TeamScore, as_json, score_team
 from ..evaluation.trajectory import (
@@ -420,7 +421,7 @@ def team_lines(score: TeamScore) -> list[str]:
         )
     if score.landmarks.unsurveyed:
         out.append(f"  {score.landmarks.unsurveyed} landmarks have no survey and are left out")
-    out += [str(e) for e in score.exchanges]
+    out += exchanges_told(score.exchanges)
     if score.landmarks_exchanged is not None:
         mended = score.landmarks_exchanged
         out.append(

@@ -2,32 +2,54 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
+from ..core.names import in_order
 from ..core.truth import Survey
 from ..fusion.cluster import ENOUGH, average, clusters
+from ..fusion.identities import match_maps
 from ..landmarks.landmark_map import LandmarkMap
 from .consistency import gauge_free_nees
 
 BETTER = 0.9  # every exchange must take a tenth off the error
 MUCH_BETTER = 0.5  # and the last of them halve it
 WORTH_NAMING = 0.05  # [m] and take at least this off
+RINGS = 200  # landmarks up to which rings of labels are looked for, by geometry alone
+SURVEYED = 1e-3  # [m] how far a survey is trusted there
 
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """Labels `a` and `b` swapped take the landmark error from `before` to `after` [m]."""
+    """Labels `a` and `b` swapped take the landmark error from `before` to `after` [m].
+
+    Where the next one's `a` is this one's `b`, both are of one ring of labels, each of which stands for the next.
+    """
 
     a: str
     b: str
     before: float
     after: float
 
-    def __str__(self) -> str:
-        return f"{self.a} and {self.b} look exchanged: {self.before:.2f} m -> {self.after:.2f} m"
+
+def exchanges_told(exchanges: Sequence[Exchange]) -> list[str]:
+    """A sentence for every pair or ring of labels."""
+    rings: list[list[Exchange]] = []
+    for e in exchanges:
+        if rings and rings[-1][-1].b == e.a:
+            rings[-1].append(e)
+        else:
+            rings.append([e])
+    out = []
+    for ring in rings:
+        last = ring[-1]
+        names = f"{', '.join(e.a for e in ring)} and {last.b}"
+        how = "look exchanged" + (", each for the next" if len(ring) > 1 else "")
+        out.append(f"{names} {how}: {ring[0].before:.2f} m -> {last.after:.2f} m")
+    return out
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,9 +87,19 @@ def rmse_after_alignment(landmarks: LandmarkMap, survey: Survey) -> float | None
 
 
 def find_exchanges(landmarks: LandmarkMap, survey: Survey) -> tuple[tuple[Exchange, ...], Survey]:
-    """Pairs of labels that, swapped, explain a large error, the best first; and the survey with them swapped.
+    """Labels that, swapped one pair after the other, explain a large error; and the survey with them swapped.
 
-    Every pair is tried: swapping changes neither centroid, so with centred points a, b as complex numbers the best
+    Pairs of two that have nothing to do with each other, the best first, unless rings of more explain far more.
+    """
+    pairs = _pairs(landmarks, survey)
+    left = pairs[-1].after if pairs else rmse_after_alignment(landmarks, survey) or 0.0
+    rings = _rings(landmarks, survey) if left > WORTH_NAMING else ()
+    found = rings if rings and rings[-1].after < MUCH_BETTER * left else pairs
+    return found, _exchanged(survey, found)
+
+
+def _pairs(landmarks: LandmarkMap, survey: Survey) -> tuple[Exchange, ...]:
+    """Every pair is tried: swapping changes neither centroid, so with centred points a, b as complex numbers the best
     fit's error is |a|^2 + |b|^2 - 2 |sum conj(a) b|, and a swap changes that sum by one product.
     """
     ours, true = _common(landmarks, survey)
@@ -75,7 +107,7 @@ def find_exchanges(landmarks: LandmarkMap, survey: Survey) -> tuple[tuple[Exchan
     exchanges: list[Exchange] = []
     names = list(ours.ids)
     if n < 3:
-        return (), survey
+        return ()
     a, b = _centred(ours.mean), _centred(true)
     taken = np.zeros(n, bool)
     for _ in range(n // 2):
@@ -95,7 +127,29 @@ def find_exchanges(landmarks: LandmarkMap, survey: Survey) -> tuple[tuple[Exchan
         exchanges[-1].after < MUCH_BETTER * exchanges[-1].before and _gain(exchanges[-1]) > WORTH_NAMING
     ):
         exchanges.pop()
-    return tuple(exchanges), _exchanged(survey, exchanges)
+    return tuple(exchanges)
+
+
+def _rings(landmarks: LandmarkMap, survey: Survey) -> tuple[Exchange, ...]:
+    """Rings of labels each of which stands where the survey has the next, as places tell when names are left out."""
+    ours, true = _common(landmarks, survey)
+    if len(ours) > RINGS:
+        return ()
+    match = match_maps(ours, LandmarkMap(ours.ids, true, SURVEYED**2 * np.eye(2 * len(ours))))
+    if not match.accepted:
+        return ()
+    stands = {ours.ids[i]: ours.ids[j] for i, j in match.links if i != j}
+    out: list[Exchange] = []
+    mended = survey
+    for first in sorted(stands, key=in_order):
+        ring = [first]
+        while (following := stands.pop(ring[-1], None)) not in {None, first}:
+            ring.append(following)
+        for a, b in pairwise(ring) if following == first else ():
+            before = rmse_after_alignment(landmarks, mended) or 0.0
+            mended = _exchanged(mended, [Exchange(a, b, before, before)])
+            out.append(Exchange(a, b, before, rmse_after_alignment(landmarks, mended) or 0.0))
+    return tuple(out)
 
 
 def naive_mean(maps: Sequence[LandmarkMap]) -> LandmarkMap | None:

@@ -7,6 +7,7 @@ import numpy as np
 
 from ..core.names import robot_key
 from ..evaluation.consistency import mean_or_none
+from ..evaluation.landmarks import exchanges_told
 from ..fusion.result import APART
 from ..landmarks.landmark_map import LocalMap
 from ..team.online import OnlineRun
@@ -145,8 +146,8 @@ def _truth(page: Page, figures: Path, story: TeamStory) -> None:
     score = story.score
     assert score is not None  # noqa: S101  (the caller looked)
     page.section("Against the truth")
-    for exchange in score.exchanges:
-        page.text(str(exchange), warn=True)
+    for sentence in exchanges_told(score.exchanges):
+        page.text(sentence, warn=True)
     if score.landmarks.alignment is not None:
         name = figures / "landmark_errors.png"
         _add(page, name, landmark_errors(name, story, score))
