@@ -23,7 +23,7 @@ NAMED_LINKS = 3  # landmarks of one name that must agree before two maps are one
 IDENTITY_CHANCE = 5.0  # how much likelier than chance, all ways to pair as many landmarks counted
 IDENTITY_LOOKED = 1000.0  # the same where it is known where the robots looked: six right links are worth far more
 IDENTITY_ODDS = 5.0  # how much likelier than any other alignment
-IDENTITY_REPEATED = 0.5  # share of its links from which on another alignment beyond chance refuses it
+IDENTITY_REPEATED = 0.5  # share of its links that another alignment beyond chance may have
 IDENTITY_LOOSE = 0.05  # probability that maps err by noise and scale too, before they are compared
 IDENTITY_TIGHT = 0.1  # share of noise and scale that is left where they do not
 CHI2_PER_DOF = 3.0  # chi-square per degree of freedom up to which a match is believed
@@ -152,7 +152,7 @@ def _refusal(best: AlignmentCandidate, rivals: Sequence[AlignmentCandidate], cha
     if as_well:
         return f"{k} landmarks fit together, but {max(as_well)} do as well in another alignment"
     repeated = max((len(c.links) for c in rivals if c.evidence >= chance), default=0)
-    if repeated >= IDENTITY_REPEATED * k:
+    if repeated > IDENTITY_REPEATED * k:
         return f"{k} landmarks fit together, and {repeated} in another alignment too: the place repeats itself"
     per_dof = best.fit.chi2 / (2 * k - 3)
     if per_dof > CHI2_PER_DOF:

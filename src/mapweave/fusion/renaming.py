@@ -24,6 +24,7 @@ from .initial_frames import Consensus, Outlier, PlaceTest, arrange, as_cluster, 
 
 SURROUNDED = 0.6  # share of a map's landmarks among those linked that must be linked: both robots have been there
 SURE = 0.95  # probability of a link from which its landmark is renamed
+REPEATED = 0.6  # share of the links that another alignment may have: what repeats itself proves nothing
 PAIRED = 2e8  # distances worked out for one match, about
 
 
@@ -172,8 +173,9 @@ def _whole(test: PlaceTest, cluster: Consensus) -> LandmarkMap:
 def sure_links(source: LandmarkMap, target: LandmarkMap, cfg: FuseConfig) -> Int[np.ndarray, "k 2"]:
     """Which landmarks of both maps are one, names ignored, where that is beyond doubt; none where it is not.
 
-    Asked beyond `match_maps`: odds of `FUSE_ODDS` against chance; of either map's landmarks among those linked,
-    `SURROUNDED` linked, since both robots have been there; and of every link, that it is right by `SURE`.
+    Asked beyond `match_maps`: odds of `FUSE_ODDS` against chance; no other alignment that links `REPEATED` as many;
+    of either map's landmarks among those linked, `SURROUNDED` linked, since both robots have been there; and of every
+    link, that it is right by `SURE`.
     """
     none = np.zeros((0, 2), dtype=np.intp)
     if min(len(source), len(target)) < IDENTITY_LINKS:
@@ -181,7 +183,7 @@ def sure_links(source: LandmarkMap, target: LandmarkMap, cfg: FuseConfig) -> Int
     most = int(max(100, min(cfg.matching.hypotheses, PAIRED / (len(source) * len(target)))))
     match = match_maps(source, target, replace(cfg.matching, hypotheses=most))
     k = len(match.links)
-    if not match.accepted or match.evidence < np.log(FUSE_ODDS):
+    if not match.accepted or match.evidence < np.log(FUSE_ODDS) or match.rival > REPEATED * k:
         return none
     fit = joint_fit(source, target, match.links, match.T_target_source, cfg.matching.noise, cfg.matching.scale_sigma)
     moved = se2.act(fit.T, fit.scale * source.mean)
