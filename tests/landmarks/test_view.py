@@ -30,6 +30,14 @@ def test_a_long_log_is_looked_through_in_no_more_looks_than_are_allowed():
     assert AHEAD.looks(standing(3.0), np.zeros((0, 2))).shape == (3, 0)
 
 
+def test_stamps_of_any_clock_and_length_give_looks_at_poses_that_there_are():
+    for start in (0.0, 1.7e9, 1.7e18):
+        for seconds in (0.1, 3.0, 7.3, 2001.7):
+            t = np.unique(start + np.arange(0.0, seconds, 0.1))
+            looks = AHEAD.looks(Track(t, np.zeros((len(t), 3))), np.zeros((1, 2)))
+            assert 1 <= len(looks) <= len(t)
+
+
 def test_a_view_is_read_off_what_was_sighted_and_how_often():
     rng = np.random.default_rng(1)
     t = np.arange(0.0, 400.0)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
+from ..core.gaussian import is_positive_definite
 from ..core.names import in_order
 from ..core.truth import Survey
 from ..fusion.cluster import ENOUGH, average, clusters
@@ -133,7 +134,7 @@ def _pairs(landmarks: LandmarkMap, survey: Survey) -> tuple[Exchange, ...]:
 def _rings(landmarks: LandmarkMap, survey: Survey) -> tuple[Exchange, ...]:
     """Rings of labels each of which stands where the survey has the next, as places tell when names are left out."""
     ours, true = _common(landmarks, survey)
-    if len(ours) > RINGS:
+    if len(ours) > RINGS or not is_positive_definite(ours.cov):
         return ()
     match = match_maps(ours, LandmarkMap(ours.ids, true, SURVEYED**2 * np.eye(2 * len(ours))))
     if not match.accepted:

@@ -64,7 +64,7 @@ def read_local_map(folder: Path) -> LocalMap:
         calibration=held.calibration(),
         findings=held.findings(),
         first_seen=held.stamps("first_seen", ids),
-        view=held.view(),
+        view=held.view() if len(arrays["track_t"]) else None,
     )
 
 

@@ -42,9 +42,10 @@ class View:
 
 def _rows(track: Track) -> np.ndarray:
     """The poses at which a look counts: `EVERY` seconds apart, or as many as `LOOKS` leaves."""
-    t = track.t
-    every = max(EVERY, float(t[-1] - t[0]) / LOOKS)
-    return np.unique(np.searchsorted(t, np.arange(t[0], t[-1] + 1e-9, every)))
+    since = track.t - track.t[0]
+    every = max(EVERY, float(since[-1]) / LOOKS)
+    looks = every * np.arange(int(since[-1] // every) + 1)
+    return np.unique(np.searchsorted(since, np.minimum(looks, since[-1])))
 
 
 def view_of(track: Track, seen: SightingTable, ids: Sequence[str], mean: Float[np.ndarray, "n 2"]) -> View | None:
