@@ -199,9 +199,10 @@ def test_a_file_of_another_result_and_rows_of_nobody_are_refused(made, logs, tmp
     with pytest.raises(ReaderError, match="lies outside the map of robot 1"):
         mapweave.map(logs[:1], decisions={"masks": [{"robot": "1", "box": [500, 0, 501, 1], "cells": "free"}]})
     (tmp_path / "bad.toml").write_text("[[pairs", encoding="utf-8")
-    with pytest.raises(ReaderError, match="expected TOML"):
-        mapweave.map(logs, decisions=tmp_path / "bad.toml")
-    with pytest.raises(ReaderError, match="no such file"):
+    (tmp_path / "log.clf").write_text("FLASER", encoding="utf-8")
+    with pytest.raises(ReaderError, match="expected TOML"):  # before any log is read
+        mapweave.map(tmp_path / "log.clf", decisions=tmp_path / "bad.toml")
+    with pytest.raises(ReaderError, match="expected a file of decisions: No such file"):
         mapweave.map(logs, decisions=tmp_path / "none.toml")
 
 

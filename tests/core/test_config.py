@@ -5,6 +5,8 @@ from dataclasses import field, fields, is_dataclass
 import pytest
 
 from mapweave.api.configuration import JOBS, configuration_class
+from mapweave.api.explore import LaserMissionConfig
+from mapweave.api.locate import LocateConfig
 from mapweave.api.map_landmarks import LandmarkMapConfig
 from mapweave.api.map_laser import LaserMapConfig
 from mapweave.core.config import config, load
@@ -85,9 +87,31 @@ def test_a_number_below_zero_or_one_that_divides_and_is_zero_is_refused_by_name(
         load(cls, {"laser" if cls is LaserMapConfig else "ekf": said})
 
 
+@pytest.mark.parametrize(
+    ("cls", "said", "told"),
+    [
+        (LandmarkMapConfig, {"placing": {"bearing": 1e-12}}, r"placing\.bearing: expected at least 8e-08, found 1e-12"),
+        (LandmarkMapConfig, {"smoothing": {"longest_step": 1e-12}}, r"longest_step: expected at least 1e-06"),
+        (LandmarkMapConfig, {"smoothing": {"shortest_step": 1e9}}, r"smoothing\.shortest_step: expected 30 s or less"),
+        (LandmarkMapConfig, {"ekf": {"speed_scale_sd": -1.0}}, r"ekf\.speed_scale_sd: expected 0 or more"),
+        (LocateConfig, {"swarm": {"prior_sigma": 0.0}}, r"swarm\.prior_sigma: expected a number above 0"),
+        (LocateConfig, {"motion": {"acceleration": 0.0}}, r"motion\.acceleration: expected a number above 0"),
+        (LocateConfig, {"commanded": {"speed": 0.0}}, r"commanded\.speed: expected a number above 0"),
+        (LocateConfig, {"motion": {"kernel": 1e-12}}, r"kernel: expected 0 or at least 0\.1"),
+        (LocateConfig, {"motion": {"scale_w": -1.0}}, r"motion\.scale_w: expected 0 or more"),
+        (ExploreConfig, {"submap": {"range_sd": 1e-12}}, r"submap\.range_sd: expected at least 2e-07"),
+    ],
+)
+def test_settings_that_would_leave_nothing_to_solve_are_refused_by_name(cls, said, told):
+    with pytest.raises(ConfigError, match=told):
+        load(cls, said)
+
+
 def test_signed_numbers_and_zeros_that_mean_none_are_taken():
     assert load(LandmarkMapConfig, {"ekf": {"bearing_bias": -0.01}}).ekf.bearing_bias == -0.01
     assert load(LaserMapConfig, {"laser": {"graph": {"hypotheses": 0}}}).laser.graph.hypotheses == 0
+    weak = {"robots": {"law": {"most": 255.0}}}  # a number whose default is huge, as no limit is
+    assert load(LaserMissionConfig, weak).robots.law.most == 255.0
 
 
 @pytest.mark.parametrize(

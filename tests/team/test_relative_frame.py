@@ -1,5 +1,7 @@
 """Frames tied by what robots of the one saw of the other: ranges or bearings, either way, some of it wrong."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -77,6 +79,15 @@ def test_bearings_of_one_standing_robot_from_one_place_leave_its_distance_open()
         np.ones(m, bool), np.zeros((m, 3)), np.zeros((m, 2)), np.full(m, np.nan), np.full(m, 0.3), np.arange(m) * 1.0
     )
     assert not is_sure(relate(z, CFG), CFG)
+
+
+@pytest.mark.parametrize("bearing", [1e-4, 1e-6])
+def test_sightings_of_one_point_by_a_sensor_told_to_be_sharp_leave_the_turn_open(bearing):
+    cfg = replace(CFG, bearing=bearing)
+    for seed in range(15):
+        z, _ = made(seed, 6, wrong=0.3)
+        z = MutualSightings(np.ones(6, bool), z.pose, np.tile(z.point[:1], (6, 1)), z.range, z.bearing, z.t)
+        assert not is_sure(relate(z, cfg), cfg)
 
 
 def test_a_point_is_where_its_bearings_meet():

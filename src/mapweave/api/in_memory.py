@@ -136,11 +136,13 @@ def decisions_of_argument(given: object) -> Path | Mapping[str, Any] | None:
     """The file of decisions, or what it holds; raises UsageError for anything else, ReaderError for wrong tables."""
     if given is None:
         return None
-    if isinstance(given, Mapping):
-        from ..io.decisions import decisions_of  # noqa: PLC0415  (only who gives tables waits for it)
+    from ..io.decisions import decisions_of, read_decisions  # noqa: PLC0415  (only who gives some waits for it)
 
+    if isinstance(given, Mapping):
         decisions_of(given)
         return given
     if not is_path(given):
         raise UsageError(f"decisions: expected a path or the tables of a file, found {kind_of(given)}")
-    return path_of(given, "decisions", "a path")
+    path = path_of(given, "decisions", "a path")
+    read_decisions(path)
+    return path

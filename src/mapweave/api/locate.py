@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
-from typing import get_args
+from typing import ClassVar, get_args
 
 import numpy as np
 
@@ -79,6 +79,9 @@ class LocateConfig:
     sightings are gross. A `[motion]` that was changed counts there, too.
     """
 
+    POSITIVE: ClassVar[tuple[str, ...]] = (  # numbers that divide
+        *("swarm.prior_sigma", "motion.acceleration", "motion.speed", "commanded.acceleration", "commanded.speed"),
+    )
     swarm: SwarmConfig = SwarmConfig()
     motion: TrackConfig = TrackConfig()
     commanded: TrackConfig = TrackConfig(
@@ -180,7 +183,9 @@ def locate(
     """
     cfg = load(LocateConfig, config)
     method = cfg.swarm.method if method is None else method
-    if motion is None and cfg.motion != TrackConfig():
+    if motion is not None:
+        load(LocateConfig, motion)
+    elif cfg.motion != TrackConfig():
         motion = cfg.motion
     if method not in get_args(Method):
         raise UsageError(f"--method {method}: expected one of {', '.join(get_args(Method))}")

@@ -2,7 +2,8 @@
 
 A config stands beside the code that reads it: ``@config class IcpConfig: max_correspondence: float = 0.5  # [m]``. A
 key that has moved is named in the `MOVED` of the outermost class (old: new, dotted); a file with the old is told so.
-Numbers that must be above 0 are named in its `POSITIVE`, dotted.
+Numbers that must be above 0 are named in its `POSITIVE`, dotted; those that may be below 0 in the `SIGNED` of their own
+class.
 One that became a constant is named in `fixed_keys.toml`, and a file that has it is told to leave it out.
 """
 
@@ -32,6 +33,7 @@ _WORDS = {
     "int_from_float": "expected a whole number",
     "finite_number": "expected a number, found one that is not finite",
 }
+TINIEST = 1e-6  # of what a number usually is, or of 1: less is a slip; errors of nearly nothing leave nothing to solve
 _TYPES = {"str", "int", "float", "bool", "none"}  # how a union's members are called in a place
 
 
@@ -64,7 +66,8 @@ def load(cls: type[T], settings: object, overrides: dict[str, Any] | None = None
 
     A table of which some keys are given has for the others what it has in `cls`, be that other than the defaults of the
     table's own type. An object of `cls`, or of one of its tables, says all of its keys. Raises ConfigError that lists
-    every unknown key and bad value: numbers below 0, and of `positive` and the `POSITIVE` of `cls` those not above it.
+    every unknown key and bad value: numbers below 0 or of nearly nothing, and of `positive` and the `POSITIVE` of `cls`
+    those not above it.
     """
     given = _merge({} if settings is None else _tables(cls, settings), overrides or {})
     if settings is None and not _says(given):
@@ -72,22 +75,30 @@ def load(cls: type[T], settings: object, overrides: dict[str, Any] | None = None
     where = str(settings) if isinstance(settings, str | PathLike) else "options"
     built = build(cls, _upon(cls(), given), where)
     names = (*getattr(cls, "POSITIVE", ()), *positive)
-    problems = [*_not_positive(built, names), *(told for place, told in _negative(cls(), built) if place not in names)]
+    problems = _not_positive(built, names)
+    problems |= {place: told for place, told in _too_small(cls(), built) if place not in problems}
     if problems:
-        raise ConfigError(f"{where}: {'; '.join(problems)}")
+        raise ConfigError(f"{where}: {'; '.join(problems.values())}")
     return built
 
 
-def _negative(default: Any, given: Any, place: str = "") -> Iterator[tuple[str, str]]:
-    """Where numbers are below 0, and what is wrong with it: no setting whose default is above 0 has a meaning there."""
+def _too_small(default: Any, given: Any, place: str = "") -> Iterator[tuple[str, str]]:
+    """Where numbers that are never negative are below 0, or above it by nearly nothing, and what is wrong with it."""
     if is_dataclass(default) and type(default) is type(given):
         for f in fields(default):
-            yield from _negative(getattr(default, f.name), getattr(given, f.name), f"{place}.{f.name}".lstrip("."))
+            if f.name not in getattr(type(default), "SIGNED", ()):
+                where = f"{place}.{f.name}".lstrip(".")
+                yield from _too_small(getattr(default, f.name), getattr(given, f.name), where)
         return
     usual, found = (v if isinstance(v, tuple) else (v,) for v in (default, given))
     numbers = [v for v in (*usual, *found) if isinstance(v, int | float) and not isinstance(v, bool)]
-    if len(numbers) == len(usual) + len(found) and all(v > 0 for v in usual) and any(v < 0 for v in found):
+    if len(numbers) < len(usual) + len(found) or any(v < 0 for v in usual):
+        return
+    least = TINIEST * min((*usual, 1.0))
+    if any(v < 0 for v in found):
         yield place, f"{place}: expected 0 or more, found {given}"
+    elif any(0 < v < least for v in found):
+        yield place, f"{place}: expected at least {least:g}, found {given}"
 
 
 def _tables(cls: type, settings: object) -> dict[str, Any]:
@@ -131,20 +142,20 @@ def _read(path: Path) -> dict[str, Any]:
 def expect_positive(cfg: object, where: str, *names: str) -> None:
     """Raises ConfigError that lists all of `names` (dotted fields, numbers or lists of them) that are not above 0."""
     if problems := _not_positive(cfg, names):
-        raise ConfigError(f"{where}: {'; '.join(problems)}")
+        raise ConfigError(f"{where}: {'; '.join(problems.values())}")
 
 
-def _not_positive(cfg: object, names: Sequence[str]) -> list[str]:
-    problems = []
+def _not_positive(cfg: object, names: Sequence[str]) -> dict[str, str]:
+    """Name -> what is wrong, of those of `names` that are not above 0."""
+    problems = {}
     for name in names:
         value: Any = cfg
         for part in name.split("."):
             value = getattr(value, part)
         numbers = value if isinstance(value, tuple) else (value,)
         if not numbers or not all(v > 0 for v in numbers):
-            problems.append(
-                f"{name}: expected {'numbers' if isinstance(value, tuple) else 'a number'} above 0, found {value}"
-            )
+            many = "numbers" if isinstance(value, tuple) else "a number"
+            problems[name] = f"{name}: expected {many} above 0, found {value}"
     return problems
 
 

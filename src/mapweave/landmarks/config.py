@@ -1,5 +1,7 @@
 """What EKF-SLAM assumes of a robot and its sensors; one set of defaults for the whole family of robots."""
 
+from typing import ClassVar
+
 import numpy as np
 from jaxtyping import Float
 
@@ -45,6 +47,7 @@ class EkfSlamConfig:
     estimated together: they collapse the map.
     """
 
+    SIGNED: ClassVar[tuple[str, ...]] = ("bearing_bias",)
     odometry: bool = True  # whether commands are known at all; without them the robot wanders
     smooth: bool = True  # whether past poses are corrected by what came later, once the map is finished
     # how far commands can be trusted

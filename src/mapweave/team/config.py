@@ -4,6 +4,7 @@ And how it is smoothed while its logs play.
 """
 
 from dataclasses import field, replace
+from typing import ClassVar
 
 from ..core.config import config
 from ..core.errors import ConfigError
@@ -30,6 +31,7 @@ GAIN_SURE = 35.0  # and the cost that it must take away then
 SHARP_RANGE = 0.5  # of the error of a range, and
 SHARP_BEARING = 0.4  # of a bearing, that is the sighting's own: as along tracks that are good
 
+LONGEST_STEP = 30.0  # [s] to which the shortest step is made longer where poses are too many, at most
 SMOOTHING_MEMORY = 5.0  # [s] over which errors of one robot's sightings of one landmark are taken to be correlated
 SMOOTHING_GROUPS = 3.0  # of factors, for each landmark coordinate and calibration parameter, that a sandwich wants
 FEW_RAISED = 0.5  # share added to what fewer groups tell, as of Morel, Bokossa and Neerchal (2003)
@@ -77,6 +79,7 @@ class CameraNoise:
 class CalibrationPrior:
     """What is known of each robot before its log is looked at: mean and standard deviation; 0 holds the mean."""
 
+    SIGNED: ClassVar[tuple[str, ...]] = ("bearing_bias",)
     speed_scale: float = 1.0  # speed driven over speed commanded
     speed_scale_sd: float = 0.1  # its standard deviation
     turn_scale: float = 0.95  # turn rate driven over turn rate commanded
@@ -100,6 +103,11 @@ class SmoothingConfig:
     longest_step: float = 2.0  # [s] between two poses that are estimated
     shortest_step: float = 0.5  # [s] between two poses that are estimated; sightings between go by the nearest
     most_poses: int = 50_000  # that are estimated, about, fewer of over 100 robots: beyond it steps are longer
+
+    def __post_init__(self) -> None:
+        if self.shortest_step > LONGEST_STEP:
+            told = f"expected {LONGEST_STEP:g} s or less, found {self.shortest_step}"
+            raise ConfigError(f"smoothing.shortest_step: {told}")
 
 
 @config

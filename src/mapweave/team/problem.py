@@ -19,7 +19,7 @@ from ..landmarks.landmark_map import LandmarkMap
 from ..laser.robot_graph import RobotGraph
 from ..solve import Cauchy, Factor, Pattern, Problem, Solution, SolveConfig, minimise, wrapping
 from .commanded_motion import CommandedMotion
-from .config import MOTION_NOISE_HOLD, MOTION_NOISE_OUTLIER, CalibrationPrior, SmoothingConfig
+from .config import LONGEST_STEP, MOTION_NOISE_HOLD, MOTION_NOISE_OUTLIER, CalibrationPrior, SmoothingConfig
 from .factors import InterRobotEdge, inter_robot_factor, scan_factor, sighting_factors, step_factor
 from .known import PlacePriors
 from .robot_part import (
@@ -38,7 +38,7 @@ from .robot_part import (
 SMOOTHING_ITERATIONS = 40  # steps of the solver, at most
 
 CROWD = 100  # robots of one field, up to which all poses that the settings allow are estimated
-WIDER, LONGEST = 1.25, 30.0  # times as long are steps made at a time where poses are too many, and [s] at most
+WIDER = 1.25  # times as long are steps made at a time where poses are too many
 OF_ALL = frozenset({"prior", "scale", "size"})  # factors that say nothing of where anything is
 HELD_TOGETHER = 0.001  # share of the size of a map that nothing but ranges tells: so firmly it is held
 
@@ -256,12 +256,11 @@ def with_fewer_poses(logs: Sequence[LandmarkLog], cfg: SmoothingConfig, scanning
     """
     seen_at = seen_when(logs, [log.robot for log in logs]) if cfg.robot_sightings else {}
     driving, nobody = [log for log in logs if log.robot not in scanning], np.zeros(0)
-    while cfg.shortest_step < LONGEST and sum(
+    while cfg.shortest_step < LONGEST_STEP and sum(
         count_instants(log, seen_at.get(log.robot, nobody), cfg) for log in driving
     ) > most_poses(logs, cfg):
-        cfg = replace(
-            cfg, shortest_step=WIDER * cfg.shortest_step, longest_step=max(cfg.longest_step, 2.5 * cfg.shortest_step)
-        )
+        shortest = min(WIDER * cfg.shortest_step, LONGEST_STEP)
+        cfg = replace(cfg, shortest_step=shortest, longest_step=max(cfg.longest_step, 2.5 * cfg.shortest_step))
     return cfg
 
 

@@ -24,6 +24,7 @@ PLACING_LEAD = 3.0  # cost by which any other heading must be worse
 PLACING_APART = 0.6  # [rad] from which another heading is another one
 SURE_THETA = 0.3  # [rad] sd of the turn of a tie, at most
 FARTHEST = 1e3  # [m] of a shift that says nothing
+LEAST_TOLD = 1e-12  # of what is told best, below which rounding tells it
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +206,7 @@ def _refined(
         tried = T + step
         new, new_g, new_H = normal(tried)
         if new < cost:
-            T, gain, cost, damping = tried, cost - new, new, 0.3 * damping
+            T, gain, cost, damping = tried, cost - new, new, max(0.3 * damping, LEAST_TOLD)
             g, H = new_g, new_H
             if gain < 1e-9 * cost:
                 break
@@ -213,7 +214,8 @@ def _refined(
             damping *= 10.0
             if damping > 1e6:
                 break
-    if np.linalg.eigvalsh(H)[0] < 1e-6:
+    told = np.linalg.eigvalsh(H)
+    if told[0] < max(1e-6, LEAST_TOLD * told[-1]):
         return None
     T[2] = se2.wrap_angle(T[2])
     return T, np.linalg.inv(H)

@@ -60,7 +60,8 @@ def instants_of(log: LandmarkLog, seen_at: Float[np.ndarray, " s"], track: Track
 
 def count_instants(log: LandmarkLog, seen_at: Float[np.ndarray, " s"], cfg: SmoothingConfig) -> int:
     """How many `instants_of` gives."""
-    return sum(len(stamps) for stamps, _ in _of_stretches(log, seen_at, cfg))
+    kept = [_kept(stretch, seen_at, cfg) for stretch in log.stretches() if len(stretch)]
+    return sum(1 + int(_parts(np.diff(t), cfg).sum()) for t in kept)
 
 
 def _of_stretches(
@@ -72,10 +73,15 @@ def _of_stretches(
 def _of_stretch(
     log: LandmarkLog, seen_at: Float[np.ndarray, " s"], cfg: SmoothingConfig
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " m"]]:
+    return _with_steps(_kept(log, seen_at, cfg), cfg)
+
+
+def _kept(log: LandmarkLog, seen_at: Float[np.ndarray, " s"], cfg: SmoothingConfig) -> Float[np.ndarray, " k"]:
+    """The first and last stamp of a stretch and those at which it saw or was seen, of near ones the first."""
     first, last = log.span
     inside = seen_at[(seen_at >= first) & (seen_at <= last)]
     t = np.unique(np.concatenate([[first, last], log.sightings.t, log.bearings.t, inside]))
-    return _with_steps(_spaced(t, cfg.shortest_step), cfg)
+    return _spaced(t, cfg.shortest_step)
 
 
 def instants_between(
@@ -94,9 +100,14 @@ def _with_steps(
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " m"]]:
     """`t` and so many stamps between that no step is longer than the longest; and the gap each step lies in."""
     gaps = np.diff(t)
-    parts = np.maximum(np.ceil(gaps / cfg.longest_step - 1e-9).astype(int), 1)
+    parts = _parts(gaps, cfg)
     more = [np.linspace(a, b, n + 1)[1:-1] for a, b, n in zip(t[:-1], t[1:], parts, strict=True) if n > 1]
     return np.sort(np.concatenate([t, *more])), np.repeat(gaps, parts)
+
+
+def _parts(gaps: Float[np.ndarray, " g"], cfg: SmoothingConfig) -> Int[np.ndarray, " g"]:
+    """In how many steps each gap is driven, so that none is longer than the longest."""
+    return np.asarray(np.maximum(np.ceil(gaps / cfg.longest_step - 1e-9).astype(int), 1))
 
 
 def keyframe_instants(t: Float[np.ndarray, " n"], track: Track) -> Instants:

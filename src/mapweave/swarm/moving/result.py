@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...core.config import config
+from ...core.errors import ConfigError
 from ...core.records import frozen
 from ...solve import Solution
 
@@ -20,6 +21,7 @@ TRACK_ENOUGH = 6  # sightings that place a robot, where a start without common a
 GROW_KERNEL = 3.0  # [standard deviations] Cauchy kernel on sightings for that start, where `kernel` is 0
 TRACK_MEETING = 1.5  # times the error of one sighting, with what wheels turn astray in a `window`, and
 MEETING_FLOOR = 0.01  # [rad] more: rms error up to which a meeting of two robots is believed
+LEAST_KERNEL = 0.1  # standard deviations: a narrower kernel believes no sighting
 MEETING_OUTLIER = 3.0  # times that error: a sighting further off counts as this much off
 
 
@@ -38,6 +40,10 @@ class TrackConfig:
     turn: float = 0.1  # [sqrt(s)] and so much of the turn rate more
     scale_w: float = 0.0  # the same of its w
     kernel: float = 0.0  # Cauchy kernel on sightings [standard deviations]; 0: none
+
+    def __post_init__(self) -> None:
+        if 0 < self.kernel < LEAST_KERNEL:
+            raise ConfigError(f"kernel: expected 0 or at least {LEAST_KERNEL:g}, found {self.kernel}")
 
 
 @dataclass(frozen=True, slots=True)
