@@ -8,7 +8,7 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.io.assemble import RawLog, RawScan
-from mapweave.io.scan_checks import GREATEST, OWN, REPEAT, repeated, without_false_returns
+from mapweave.io.scan_checks import GREATEST, OWN, REPEAT, moved_by, repeated, without_false_returns
 
 from .test_scan_agreement import drive
 
@@ -112,6 +112,15 @@ def test_a_copy_now_and_then_and_a_scanner_that_is_stuck_are_left_alone():
     once = [*scans[:20], replace(scans[19], odometry=np.add(scans[19].odometry, 0.05)), *scans[20:]]
     assert not repeated(once).any()
     assert not repeated(changed(scans, lambda r: np.linspace(1.0, 2.0, len(r)))).any()
+
+
+def test_scans_of_a_scanner_that_hangs_while_the_robot_drives_on_are_no_new_ones():
+    scans = drive(1)
+    far = next(k for k in range(11, len(scans)) if moved_by(scans[10], scans[k]) > 0.5)
+    hung = [replace(scans[10], odometry=scan.odometry) if 10 < k <= far else scan for k, scan in enumerate(scans)]
+    assert np.array_equal(np.flatnonzero(repeated(hung)), np.arange(11, far + 1))
+    spun = [replace(scans[10], odometry=scans[10].odometry + 1e-3 * k) for k in range(9)]
+    assert not repeated([*scans[:10], *spun, *scans[10:]]).any()  # it stands, and its wheels tremble
 
 
 def test_a_log_counts_the_scans_that_repeat_and_a_resumed_one_keeps_them():

@@ -163,6 +163,19 @@ def test_a_revolution_that_a_driver_sends_twice_is_told_once_it_is_its_habit():
     assert made.refused["repeated"] >= 15
 
 
+def test_a_scanner_that_hangs_while_the_robot_drives_on_is_believed_no_longer():
+    rng = np.random.default_rng(0)
+    made, told = fed(Assembly(), mounted()), []
+    for k in range(80):
+        if not 40 <= k < 60:
+            ranges = np.linspace(1.0, 3.0, 20) + 0.1 * rng.random(20)
+        t = 10.0 + 0.1 * k
+        fed(made, odometry(t, (0.1 * k, 0.0, 0.0)), scan(t, ranges=ranges.astype(np.float32).tolist()))
+        told += [round((stamp - 10.0) / 0.1) for stamp, _ in made.ready()[0]]
+    assert not set(range(43, 60)) & set(told)
+    assert set(range(60, 79)) <= set(told)
+
+
 def test_the_time_that_a_scan_takes_reaches_the_log():
     message = cdr.decode(ros_peer.scan(10.0, "laser", RANGES, -0.5, 0.2, 10.0, (), 0.01), cdr.SCAN)
     made = Assembly()

@@ -52,6 +52,8 @@ SCAN_AGREEMENT_ACROSS = 0.35  # if walls across the motion make up so much of al
 
 REPEAT_STILL = 1e-6  # [m] and [rad] between scans, up to which wheels report no motion
 REPEAT_SHARE = (0.1, 0.8)  # of the scans while it moves, that repeat the one before where that is a driver's habit
+FROZEN_SCANS = 3  # that repeat one, at least: copies now and then come alone,
+FROZEN = 0.2  # [m] or [rad] that a robot drives while scans repeat one, from which its scanner stands still in time
 REPEAT = "scan that repeats the one before while the robot drives"
 
 OWN = "return of the robot itself"
@@ -80,8 +82,9 @@ def repeated(scans: Sequence[Scan]) -> Bool[np.ndarray, " m"]:
     """Which of the scans have the very ranges of the one before by the same scanner although the robot moved.
 
     Drivers that ask their scanner oftener than it turns send a revolution twice; the second comes with the stamp of a
-    moment in which nothing was seen. None where so few do that it is no habit, or so many that nothing else is there.
-    Without wheels those that come alone count: what stands is seen alike for longer.
+    moment in which nothing was seen. Where few do it is no habit: they count if the robot drove on all the while, past
+    a scanner that hung. None where so many do that nothing else is there. Without wheels those that come alone count:
+    what stands is seen alike for longer.
     """
     out = np.zeros(len(scans), dtype=bool)
     for rows in rows_by_scanner([(scan.T_robot_sensor.tobytes(), "") for scan in scans]):
@@ -91,8 +94,27 @@ def repeated(scans: Sequence[Scan]) -> Bool[np.ndarray, " m"]:
             moved = ~same[1:-1] | ~(same[:-2] | same[2:])
         else:
             moved = np.array([has_moved(a, b) for a, b in pairwise(group)], dtype=bool)
-        out[rows[1:]] = same[1:-1] & moved & is_habit(int((same[1:-1] & moved).sum()), int(moved.sum()))
+        again = same[1:-1] & moved
+        if is_habit(int(again.sum()), int(moved.sum())):
+            out[rows[1:]] = again
+        elif again.sum() < REPEAT_SHARE[1] * moved.sum():
+            out[rows[1:]] = again & _frozen(group, same[1:-1])
     return out
+
+
+def _frozen(scans: Sequence[Scan], same: Bool[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+    """Which of the scans after the first are of a run that repeats one while wheels drive away from there."""
+    out = np.zeros(len(same), dtype=bool)
+    begins = np.flatnonzero(same & ~np.append(False, same[:-1]))
+    ends = np.flatnonzero(same & ~np.append(same[1:], False)) + 1
+    for first, last in zip(begins.tolist(), ends.tolist(), strict=True):
+        out[first:last] = is_frozen(scans[first], scans[last], last - first)
+    return out
+
+
+def is_frozen(first: Scan, last: Scan, repeats: int) -> bool:
+    """Whether a scanner hung: the `repeats` scans up to `last` are `first` again, and the robot drove on."""
+    return repeats >= FROZEN_SCANS and moved_by(first, last) > FROZEN
 
 
 def is_same_revolution(a: Scan, b: Scan) -> bool:
@@ -103,9 +125,14 @@ def is_same_revolution(a: Scan, b: Scan) -> bool:
 
 def has_moved(a: Scan, b: Scan) -> bool:
     """Whether wheels tell of a motion between two scans."""
+    return moved_by(a, b) > REPEAT_STILL
+
+
+def moved_by(a: Scan, b: Scan) -> float:
+    """How far wheels drove or turned between two scans [m] or [rad], whichever is more; 0 without wheels."""
     if a.odometry is None or b.odometry is None:
-        return False
-    return bool((np.abs(b.odometry - a.odometry) > REPEAT_STILL).any())
+        return 0.0
+    return float(np.abs(se2.between(a.odometry, b.odometry)).max())
 
 
 def is_habit(repeats: int, moved: int) -> bool:

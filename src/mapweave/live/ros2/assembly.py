@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from ...core.records import Scan, Track, frozen
 from ...io.assemble import LONGEST_SWEEP, RawScan, floats, is_sound, poses_at, scan_of
-from ...io.scan_checks import has_moved, is_habit, is_same_revolution
+from ...io.scan_checks import has_moved, is_frozen, is_habit, is_same_revolution
 from ...io.transforms import Transforms, frame, in_range, planar, rigid
 from ..door import GREATEST, MOST_BEAMS, expect_steps
 from ..laser_feed import Row, Stamped
@@ -71,7 +71,8 @@ class Assembly:
         self._wheels_clock = Clock("odometry")
         self._scanners: dict[str, Clock] = {}
         self._told_until: float | None = None  # [s] stamp of the last scan that was told
-        self._before: dict[str, Scan] = {}  # of each frame the last scan that was placed
+        # of each frame the first and the last of the scans with the ranges of the latest, and how many repeat the first
+        self._before: dict[str, tuple[Scan, Scan, int]] = {}
         self._moved = self._again = 0  # scans of a robot that moved, and of those what repeats the one before
         self._waiting: deque[tuple[RawScan, str, float]] = deque()  # each with its frame, and when it came
         self._undecided: deque[tuple[float, tuple[float, float, float], tuple[str, str]]] = deque(maxlen=UNDECIDED)
@@ -221,14 +222,16 @@ class Assembly:
         return out, rows
 
     def _repeats(self, scan: Scan, name: str) -> bool:
-        """Whether the driver sends a revolution again, as it has done before."""
-        before, self._before[name] = self._before.get(name), scan
+        """Whether the driver sends a revolution again, as it has done before, or the scanner hangs."""
+        first, before, repeats = self._before.get(name, (scan, None, 0))
+        again = before is not None and is_same_revolution(before, scan)
+        first, repeats = (first, repeats + 1) if again else (scan, 0)
+        self._before[name] = first, scan, repeats
         if before is None or not has_moved(before, scan):
             return False
         self._moved += 1
-        again = is_same_revolution(before, scan)
         self._again += again
-        return again and is_habit(self._again, self._moved)
+        return again and (is_habit(self._again, self._moved) or is_frozen(first, scan, repeats))
 
     def _earlier_may_come(self, t: float) -> bool:
         """Whether a scanner has told nothing as late as `t` yet."""
