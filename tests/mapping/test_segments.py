@@ -296,6 +296,30 @@ def test_places_far_from_where_wheels_lead_over_a_cut_are_told_unless_the_scene_
         assert (cuts_disputed(moved, (known,)) == ()) == excused
 
 
+def test_places_far_from_where_wheels_lead_over_several_cuts_together_are_told_where_no_place_lies_between():
+    """Over each of the two cuts wheels may err by as much, over both they do not; a place between tells either."""
+    graph = straight((30, 32), n=60)
+    pose = np.array(graph.pose)
+    pose[30:, 1] += 2.7
+    assert cuts_disputed(replace(graph, pose=pose), ()) == ()
+    pose[32:, 1] += 2.7
+    (told,) = cuts_disputed(replace(graph, pose=pose), ())
+    assert (told.code, told.span) == ("cut-disputed", (float(graph.t[29]), float(graph.t[32])))
+    assert told.value == pytest.approx(5.4)
+    held = straight((30, 32), ((10, 31),), n=60)
+    assert cuts_disputed(replace(held, pose=pose), ()) == ()
+
+
+def test_a_robot_that_faces_the_other_way_after_a_sharp_turn_is_told():
+    graph = straight((30,), n=60)
+    step, pose = np.array(graph.step), np.array(graph.pose)
+    step[29, 2] = 2.8  # of which wheels may err by a half, as by any share: not by more than a turn
+    after = np.arange(30, 60)
+    pose[after] = se2.compose(se2.compose(pose[29], step[29] + [0.0, 0.0, np.pi]), se2.between(pose[30], pose[after]))
+    (told,) = cuts_disputed(replace(graph, step=step, pose=pose), ())
+    assert told.code == "cut-disputed"
+
+
 @pytest.mark.slow
 def test_a_wide_hall_whose_ends_look_alike_is_not_called_good_where_the_map_is_a_room_off():
     people = DriveConfig(people=10)

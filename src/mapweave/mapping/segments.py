@@ -33,7 +33,8 @@ LEAP, LEAP_TIMES, SLOW = 1.0, 5.0, 0.2  # [m or rad], times the usual speed, at 
 STILL, STILL_TURN = 0.2, 0.1  # [m], [rad]: a robot that moved less over a pause stood still
 USUAL = 0.98  # of the steps between two scans are at most so long, and a robot that moved less went on as ever
 DRIVEN = 0.15  # of a step over a gap that wheels may err by
-WIDE = 0.5  # of a step over a border that it may err by, where that is more than the settings say
+WIDE = 0.5  # of a step over a border that it may err by, where that is more than the settings say,
+ANY_TURN = 1.0  # [rad] and sd of its turn at most: of more a robot that faces the other way would be none to wonder at
 SLIP, REFUSED, JUMP, GAP = "slip", "refused", "jump", "gap"  # why a step is not sure,
 CONTRADICTED = "contradicted"  # or turned out to be wrong
 WHY = {
@@ -58,7 +59,7 @@ def border_covariance(step: Float[np.ndarray, "3"], why: str = "") -> Float[np.n
     if why == GAP:
         return np.diag(np.square([max(0.5 * WEAK_XY, DRIVEN * way)] * 2 + [0.5 * WEAK_TURN]))
     xy = max(WEAK_XY, WIDE * way)
-    return np.diag(np.square([xy, xy, max(WEAK_TURN, WIDE * abs(float(step[2])))]))
+    return np.diag(np.square([xy, xy, min(max(WEAK_TURN, WIDE * abs(float(step[2]))), ANY_TURN)]))
 
 
 class Borders:
@@ -203,15 +204,45 @@ def cuts_disputed(graph: RobotGraph, told: Sequence[Finding]) -> tuple[Finding, 
     if any(isinstance(f.value, Mapping) and f.value["times"] != 1 for f in seen):
         return ()  # of which the first alone is told with its time
     found = []
+    for cuts in _loose_cuts(graph):
+        each = [off for k in cuts if (off := _off_over(graph, [k])) is not None]
+        for (first, last), e in each or (
+            [off] if len(cuts) > 1 and (off := _off_over(graph, cuts)) is not None else []
+        ):
+            span = (float(graph.t[first]), float(graph.t[last]))
+            if not any(f.span is not None and span[0] <= f.span[1] and f.span[0] <= span[1] for f in seen):
+                found.append(Finding("cut-disputed", graph.robot, span, float(np.hypot(e[0], e[1])), "places decide"))
+    return tuple(found)
+
+
+def _loose_cuts(graph: RobotGraph) -> list[list[int]]:
+    """The cuts, gaps aside, in runs between which no place was recognised: there both motions are free to share it."""
+    runs: list[list[int]] = []
+    held = np.array([k for c in graph.closures if c.accepted for k in (c.first, c.second)], dtype=np.int64)
     for k, why in enumerate(graph.border):
         if not k or why in {"", GAP}:
             continue
-        span = (float(graph.t[k - 1]), float(graph.t[k]))
-        e = se2.between(graph.step[k - 1], se2.between(graph.pose[k - 1], graph.pose[k]))
-        far = e @ np.linalg.solve(border_covariance(graph.step[k - 1], why), e) > DISPUTED**2
-        if far and not any(f.span is not None and span[0] <= f.span[1] and f.span[0] <= span[1] for f in seen):
-            found.append(Finding("cut-disputed", graph.robot, span, float(np.hypot(e[0], e[1])), "places decide"))
-    return tuple(found)
+        free = (
+            bool(runs) and not ((held >= runs[-1][-1]) & (held < k)).any() and GAP not in graph.border[runs[-1][-1] : k]
+        )
+        runs = [*runs[:-1], [*runs[-1], k]] if free else [*runs, [k]]
+    return runs
+
+
+def _off_over(graph: RobotGraph, cuts: Sequence[int]) -> tuple[tuple[int, int], Float[np.ndarray, "3"]] | None:
+    """Between which keyframes the cuts lie, and by how much places put the robot elsewhere there than its wheels do.
+
+    None where wheels may err by as much.
+    """
+    first, last = cuts[0] - 1, cuts[-1]
+    way, cov = np.zeros(3), np.zeros((3, 3))  # the way from each keyframe to the last, as wheels and scans tell it
+    for k in range(last, first, -1):
+        if k in cuts:
+            border = border_covariance(graph.step[k - 1], graph.border[k])
+            cov += border + np.diag([1.0, 1.0, 0.0]) * border[2, 2] * float(way[:2] @ way[:2])  # a turn swings the rest
+        way = se2.compose(graph.step[k - 1], way)
+    e = se2.between(way, se2.between(graph.pose[first], graph.pose[last]))
+    return ((first, last), e) if e @ np.linalg.solve(cov, e) > DISPUTED**2 else None
 
 
 def way_bent(graph: RobotGraph) -> tuple[Finding, ...]:
