@@ -13,6 +13,18 @@ from mapweave.core.errors import DataError, UsageError
 from mapweave.core.records import Track
 
 
+@pytest.mark.parametrize(("factor", "told"), [(1.0, False), (1.3, True)])
+def test_a_robot_whose_camera_and_wheels_have_another_unit_makes_a_map_doubtful(tmp_path, factor, told):
+    mapweave.simulate_landmarks(tmp_path / "team", robots=2, landmarks=10, minutes=2.0, seed=3)
+    tables = mapweave.read(tmp_path / "team").tables()
+    drives, seen = tables["velocities"], tables["sightings"]
+    drives["v"] = np.where(drives["robot"] == "2", factor, 1.0) * drives["v"]
+    seen["range"] = np.where(seen["robot"] == "2", factor, 1.0) * seen["range"]
+    made = mapweave.map(None, tmp_path / "made", odometry=drives, sightings=seen, refine=False)
+    for result in (made, mapweave.fuse([tmp_path / "made"])):
+        assert any(f.code == "maps-scales" for f in result.findings) == told
+
+
 @pytest.mark.slow
 def test_fused_maps_of_simulated_teams_are_as_good_as_they_say_and_better_than_their_mean(tmp_path):
     scores = []

@@ -6,7 +6,7 @@ import pytest
 from mapweave.core import se2
 from mapweave.core.landmark_log import LandmarkLog, SightingTable
 from mapweave.core.records import Odometry
-from mapweave.fusion.compared_logs import mirror_images, unmirrored
+from mapweave.fusion.compared_logs import mirror_images, scales_apart, unmirrored
 
 from .worlds import local_map
 
@@ -31,6 +31,28 @@ def test_the_mirror_images_are_named(seed):
     maps = [seen_by(f"robot{k}", hall(seed), k, mirrored=k in (2, 5), wrong=k // 3) for k in range(1, 6)]
     assert mirror_images(maps) == ("robot2", "robot5")
     assert mirror_images([m for m in maps if m.robot not in ("robot2", "robot5")]) == ()
+
+
+def test_a_map_of_another_scale_is_told_of_those_that_are_joined_with_it():
+    team = ("robot1", "robot2", "robot3")
+    maps = [seen_by(team[0], hall(1), 1), seen_by(team[1], 1.3 * hall(1), 2), seen_by(team[2], hall(1), 3)]
+    (told,) = scales_apart(maps, [team])
+    assert (told.code, told.severity) == ("maps-scales", "doubtful")
+    assert "robot2" in told.value["pair"]
+    assert told.value["value"] == pytest.approx(30.0, abs=3.0)
+    assert scales_apart(maps, [(team[0], team[2]), (team[1],)]) == ()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_maps_a_little_apart_in_scale_and_maps_that_scatter_are_of_one_scale(seed):
+    points = hall(seed)
+    one = seen_by("robot1", points, 1)
+    assert scales_apart([one, seen_by("robot2", 1.1 * points, 2)], [("robot1", "robot2")]) == ()
+    assert scales_apart([one, seen_by("robot2", points, 2, wrong=4)], [("robot1", "robot2")]) == ()
+    assert (
+        scales_apart([seen_by("robot1", 0.2 * points, 1), seen_by("robot2", 0.25 * points, 2)], [("robot1", "robot2")])
+        == ()
+    )
 
 
 def test_a_tie_decides_nothing():

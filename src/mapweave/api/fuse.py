@@ -11,6 +11,7 @@ from ..core.findings import Finding
 from ..core.names import in_order, robot_name
 from ..core.paths import AnyConfig, checked_arguments
 from ..core.workers import Progress, no_progress, one_blas_thread
+from ..fusion.compared_logs import scales_apart
 from ..fusion.config import FuseConfig
 from ..fusion.join import fuse as join_maps
 from ..io.directory import check_target
@@ -192,7 +193,10 @@ def _fuse_landmarks(
         local += read
     watch.lap("read")
     title = f"One map fused from {', '.join(names)}"
-    return team_result(title, seed, local, join_maps(local, cfg, recordings), truth, (), watch)
+    fusion = join_maps(local, cfg, recordings)
+    apart = scales_apart(local, [c.robots for c in fusion.components])
+    fusion = replace(fusion, findings=(*fusion.findings, *apart))
+    return team_result(title, seed, local, fusion, truth, (), watch)
 
 
 def distinct_names(paths: Sequence[Path]) -> list[str]:

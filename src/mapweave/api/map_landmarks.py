@@ -16,7 +16,7 @@ from ..core.landmark_log import LandmarkLog
 from ..core.names import in_order, robot_key, robot_name
 from ..core.records import Track
 from ..core.workers import Progress, worker_pool
-from ..fusion.compared_logs import mirror_images, unmirrored, with_copies_marked
+from ..fusion.compared_logs import mirror_images, scales_apart, unmirrored, with_copies_marked
 from ..fusion.config import START_TOLERANCE, FuseConfig
 from ..fusion.join import fuse
 from ..fusion.online import OnlineFuser
@@ -271,7 +271,8 @@ def _map_read(
     if any(log.odometry is None for log in cut.main):
         first, rooms = with_further_rooms(maps[0], local, cut.main, placing, builders.mapper, builders.join, team_maps)
         maps = (first, *maps[1:])
-    fusion = replace(fusion, findings=(*fusion.findings, *stretch_findings, *rooms, *_wrong_clocks(read)))
+    scales = () if options.calibration or options.survey else _scales_apart(read, local, maps)
+    fusion = replace(fusion, findings=(*fusion.findings, *stretch_findings, *rooms, *_wrong_clocks(read), *scales))
     watch.lap("fuse")
     run = None
     known = known_calibration(read, options)
@@ -296,6 +297,14 @@ def _map_read(
     run = None if run is None else replace(run, team=None)
     result = team_result(title, options.seed, local, fusion, options.truth, online, watch, maps, smoothed, run)
     return replace(result, unused=tuple(unused_by_all((log.source, log.unused) for log in logs)))
+
+
+def _scales_apart(
+    logs: Sequence[LandmarkLog], local: Sequence[LocalMap], maps: Sequence[TeamMap]
+) -> tuple[Finding, ...]:
+    """Where robots whose cameras tell ranges made maps of scales that are apart; others have theirs from the team."""
+    ranging = {log.robot for log in logs if len(log.sightings)}
+    return scales_apart([m for m in local if m.robot in ranging], [m.robots for m in maps])
 
 
 def _wrong_clocks(logs: Sequence[LandmarkLog]) -> list[Finding]:

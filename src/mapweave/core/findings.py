@@ -661,6 +661,12 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "It was moved between the drives, or misread.",
             "Nothing.",
         ),
+        "maps-scales": FindingKind(
+            "doubtful",
+            "the maps of {pair} tell of the same landmarks {value:.0f} % farther apart in one than in the other",
+            "The ranges and wheels of one of them are in another unit, or not calibrated.",
+            "Find out which one has the wrong scale, and map its log anew with --calibration.",
+        ),
         "maps-repeated": FindingKind(
             "doubtful",
             "every map was counted {value:.0f} times: overconfident by that factor",

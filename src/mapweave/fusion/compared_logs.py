@@ -1,4 +1,4 @@
-"""Logs that only another one shows to be wrong: a mirror image of the others, or one log under two names.
+"""Logs that only another one shows to be wrong: a mirror image of the others, one of another scale, one log twice.
 
 A robot whose bearings and turns have the wrong sign makes a map that fits itself perfectly. Where landmarks agree
 clearly better with one of two maps mirrored than with both as they are, one of the two is a mirror image; the few
@@ -16,6 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Bool, Float
 
+from ..core import se2
 from ..core.findings import Finding
 from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.names import in_order
@@ -28,6 +29,11 @@ MIRROR_LANDMARKS = 6  # in common, from which two maps are compared
 MIRROR_AGREE = 0.7  # share of them that must agree mirrored,
 MIRROR_FEWER = 0.6  # and of those how many at most may as they are
 MIRROR_GATE = 0.5  # [m] within which a landmark agrees
+
+SCALE_LANDMARKS = 4  # in common, from which scales are compared
+SCALE_RATIO = 1.15  # from which one of two maps is in another unit, or its wheels and camera are not calibrated,
+SCALE_OFF = 0.5  # if the landmarks' root mean square distance from their middle differs by so much [m],
+SCALE_SURE = 5.0  # and by so many standard deviations, as landmarks scatter about the other map made as large
 
 COPIES_PAIRS = 20  # successive pairs of sightings of the shorter log, from which logs are compared
 COPIES_SHARE = 0.5  # of them that the other must hold too
@@ -82,6 +88,42 @@ def _side(a: LandmarkMap, b: LandmarkMap) -> int:
     if max(fits) < MIRROR_AGREE * len(shared) or min(fits) > MIRROR_FEWER * max(fits):
         return 0
     return 1 if fits[0] > fits[1] else -1
+
+
+def scales_apart(maps: Sequence[LocalMap], components: Sequence[Sequence[str]]) -> tuple[Finding, ...]:
+    """A finding of each component (its robots) in which two maps tell the same landmarks clearly farther apart.
+
+    Joined they fit: how large a map is, is what its own robot knows least, and their middle is as wrong as both.
+    """
+    found = []
+    for robots in components:
+        own = [m for m in maps if m.robot in robots]
+        told = [
+            (_scale(a.submap.landmarks, b.submap.landmarks), a.robot, b.robot)
+            for k, b in enumerate(own)
+            for a in own[:k]
+        ]
+        ratio, a, b = max(((max(s, 1.0 / s), a, b) for s, a, b in told), default=(1.0, "", ""))
+        if ratio > SCALE_RATIO:
+            found.append(Finding("maps-scales", value={"pair": f"{a} and {b}", "value": 100.0 * (ratio - 1.0)}))
+    return tuple(found)
+
+
+def _scale(a: LandmarkMap, b: LandmarkMap) -> float:
+    """How many times farther apart the landmarks of both lie in b than in a; 1 where that is not clear."""
+    there = set(b.ids)
+    shared = [name for name in a.ids if name in there]
+    if len(shared) < SCALE_LANDMARKS:
+        return 1.0
+    p, q = (m.select(shared).mean for m in (a, b))
+    p, q = p - p.mean(axis=0), q - q.mean(axis=0)
+    size_p, size_q = (float(np.sqrt(np.square(x).sum(axis=1).mean())) for x in (p, q))
+    if abs(size_p - size_q) < SCALE_OFF or min(size_p, size_q) <= 0.0:
+        return 1.0
+    scale = size_q / size_p
+    scatter = np.sqrt(np.square(se2.act(se2.align(scale * p, q), scale * p) - q).sum(axis=1).mean())
+    sure = abs(size_p - size_q) > SCALE_SURE * scatter / np.sqrt(len(shared))
+    return scale if sure else 1.0
 
 
 def with_copies_marked(logs: Sequence[LandmarkLog]) -> list[LandmarkLog]:
