@@ -205,10 +205,8 @@ def cuts_disputed(graph: RobotGraph, told: Sequence[Finding]) -> tuple[Finding, 
         return ()  # of which the first alone is told with its time
     found = []
     for cuts in _loose_cuts(graph):
-        each = [off for k in cuts if (off := _off_over(graph, [k])) is not None]
-        for (first, last), e in each or (
-            [off] if len(cuts) > 1 and (off := _off_over(graph, cuts)) is not None else []
-        ):
+        each, together = [off for k in cuts if (off := _off_over(graph, [k])) is not None], _off_over(graph, cuts)
+        for (first, last), e in each or ([] if together is None else [together]):
             span = (float(graph.t[first]), float(graph.t[last]))
             if not any(f.span is not None and span[0] <= f.span[1] and f.span[0] <= span[1] for f in seen):
                 found.append(Finding("cut-disputed", graph.robot, span, float(np.hypot(e[0], e[1])), "places decide"))

@@ -21,8 +21,8 @@ TRACK_ENOUGH = 6  # sightings that place a robot, where a start without common a
 GROW_KERNEL = 3.0  # [standard deviations] Cauchy kernel on sightings for that start, where `kernel` is 0
 TRACK_MEETING = 1.5  # times the error of one sighting, with what wheels turn astray in a `window`, and
 MEETING_FLOOR = 0.01  # [rad] more: rms error up to which a meeting of two robots is believed
-LEAST_KERNEL = 0.1  # standard deviations: a narrower kernel believes no sighting
 MEETING_OUTLIER = 3.0  # times that error: a sighting further off counts as this much off
+LEAST_KERNEL = 0.1  # standard deviations: a narrower kernel believes no sighting
 
 
 @config
