@@ -136,8 +136,8 @@ def test_what_cannot_be_is_refused_with_the_reason(team, tmp_path):
         mapweave.map(team, calibration=wrong)
     with pytest.raises(DataError, match="--robots: no robot 7"):
         mapweave.map(team, robots=["7"])
-    with pytest.raises(UsageError, match="--fuse-every: not for mixed teams"):
-        mapweave.map(team, fuse_every=10.0)
+    with pytest.raises(UsageError, match="over 1000 maps on the way"):
+        mapweave.map(team, every=1e-3)
     with pytest.raises(UsageError, match="--radios, --resume: not for mixed teams"):  # they were passed over in silence
         mapweave.map(team, radios={"n_7": "robot1"}, laser=mapweave.LaserOptions(resume=team))
     with pytest.raises(UsageError, match="mixed teams know graph"):

@@ -137,6 +137,7 @@ def test_a_robot_without_odometry_is_mapped_and_marked(team, tmp_path):
         (("--method", "magic"), "--method"),
         (("--jobs", "0"), "--jobs"),
         (("--fuse-every", "-3"), "--fuse-every"),
+        (("--every", "0"), "--every"),
         (("--share", "1:2.0"), "--share"),
         (("--share", "1=0.5"), "--share"),
         (("--share", "9:0.5"), "no robot 9"),

@@ -85,6 +85,12 @@ class LaserResult(ResultBase):
         """What the findings make of the result."""
         return verdict(self.findings)
 
+    def size(self) -> dict[str, Any]:
+        """How many robots the largest map holds, how many maps there are, of how many keyframes, and the verdict."""
+        parts = [len(woven.robots) for woven in self.components] or [1] * len(self.maps)
+        keyframes = sum(0 if m.graph is None else len(m.graph) for m in self.maps)
+        return {"robots": max(parts), "maps": len(parts), "keyframes": keyframes, "verdict": self.verdict}
+
     def draw(self, target: Target) -> None:
         """The map of most robots with their trajectories."""
         if self.components and self.components[0].joint:
@@ -118,6 +124,7 @@ class LaserResult(ResultBase):
         write_laser_report(
             *(folder, self.maps, self.truth, lines, self.components, self.merges, self.notes, doubts, top),
             findings=self.findings,
+            growth=self.metrics.get("online", ()),
         )
         if not self.components and len(self.maps) == 1:
             _copied(folder, folder, self.maps[0].robot)

@@ -134,6 +134,7 @@ def map(  # noqa: A001  (the verb)
     config: AnyConfig | None = None,
     seed: int = 0,
     jobs: int = 1,
+    every: float | None = None,
     fuse_every: float | None = None,
     refine: bool = True,
     online: bool = False,
@@ -194,8 +195,11 @@ def map(  # noqa: A001  (the verb)
         Of everything drawn at random (0).
     jobs
         How many robots are worked on at once, in processes of our own (1).
+    every
+        Also make the map of what came until then every so many seconds [s] of the logs, and tell in `metrics["online"]`
+        how it grew (not at all). Of lasers and mixed teams each is made anew.
     fuse_every
-        Also fuse every so many seconds [s] while the logs play, and keep how the map grew (not at all).
+        The same.
     refine
         Smooth the whole team at the end: all trajectories, landmarks and calibrations in one problem (True). Landmark
         logs alone.
@@ -262,7 +266,7 @@ def map(  # noqa: A001  (the verb)
         config=config,
         seed=seed,
         jobs=jobs,
-        fuse_every=fuse_every,
+        fuse_every=fuse_every if every is None else every,
         refine=refine,
         online=online,
         calibration=None if calibration is None else Path(calibration),

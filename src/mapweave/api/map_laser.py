@@ -7,6 +7,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from ..laser.laser_map import LaserMap
 from ..mapping.config import LaserConfig
 from ..mapping.known_map import known_map
 from ..mapping.laser_mapping import elsewhere_from, map_laser
+from .growth import grown
 from .laser_result import LaserResult, laser_metrics, scored, woven_result
 from .map_options import LaserOptions, MapOptions
 
@@ -57,12 +59,37 @@ def map_logs(logs: Sequence[Path | LaserLog], options: MapOptions) -> LaserResul
     idle = _of_recordings(logs, options)
     maps = tuple(_with_idle_options(local_map, options, idle) for local_map in _mapped(jobs, options))
     if cfg.method != "graph":
-        return scored(LaserResult(maps, laser_metrics(maps, options.seed)), options.truth)
-    return _woven(maps, cfg, options, options.starts(), ())
+        result = scored(LaserResult(maps, laser_metrics(maps, options.seed)), options.truth)
+    else:
+        result = _woven(maps, cfg, options, options.starts(), ())
+    every = options.fuse_every
+    return result if every is None else _with_growth(result, held, every, options)
+
+
+def _with_growth(
+    result: LaserResult, held: Mapping[str, tuple[Path | LaserLog, LaserSource]], every: float, options: MapOptions
+) -> LaserResult:
+    """The result, and how its map grew, each of the maps on the way as `map_logs` makes it of what came until then."""
+    logs = {key: _read(log, key, source, options.share.get(key, 1.0)) for key, (log, source) in held.items()}
+    alone = replace(options, fuse_every=None, robots=None, share={}, truth=(), decisions=None, on_progress=no_progress)
+
+    def look(until: list[float]) -> dict[str, Any]:
+        cut = {key: log.cut(t, key)[0] for (key, log), t in zip(logs.items(), until, strict=True)}
+        there = {key: log for key, log in cut.items() if len(log.scans)}
+        number = {key: str(k) for k, key in enumerate(there, 1)}
+        start = {number[key]: pose for key, pose in options.start.items() if key in there}
+        sd = {number[key]: known for key, known in options.start_sd.items() if key in there}
+        return map_logs(list(there.values()), replace(alone, start=start, start_sd=sd)).size()
+
+    spans = [(float(log.scan_t[0]), float(log.scan_t[-1])) for log in logs.values()]
+    rows = grown(spans, every, look, result.size(), options.on_progress)
+    return replace(result, metrics={**result.metrics, "online": rows})
 
 
 def _going_on(before: Path, logs: Sequence[Path | LaserLog], options: MapOptions) -> LaserResult:
     """The result in `before` with further logs: what one run of all logs would have given."""
+    if options.fuse_every is not None:
+        raise UsageError("--every: of logs that are mapped from their beginning, not with --resume")
     state = state_before(before)
     cfg = _configured(options)
     if cfg.method != "graph":
@@ -247,7 +274,6 @@ def _with_idle_options(local_map: LaserMap, options: MapOptions, of_recordings: 
     alone = "each laser log is mapped on its own"
     woven = "laser maps are woven by their graphs"
     asked: list[tuple[str, object]] = [
-        ("--fuse-every", options.fuse_every),
         ("--weights", options.weights),
         ("--no-refine", not options.refine),
         ("--online", options.online),

@@ -16,7 +16,7 @@ from ..core.landmark_log import NOTHING_SEEN, LandmarkLog, SightingTable
 from ..core.laser_log import LaserLog
 from ..core.names import in_order, robot_key, robot_name
 from ..core.version import __version__
-from ..core.workers import worker_pool
+from ..core.workers import no_progress, worker_pool
 from ..fusion.compared_logs import with_copies_marked
 from ..fusion.join import fuse
 from ..fusion.result import Fusion
@@ -53,6 +53,7 @@ from ..team.mixed import MixedMap, map_mixed, regained
 from ..team.team_map import TeamMap, at_every_stamp
 from ..team.walls import Scanned
 from .evaluate import Evaluation, judged
+from .growth import grown
 from .map_landmarks import CameraTeamConfig, known_calibration
 from .map_laser import first_part, source_of
 from .map_options import MapOptions
@@ -214,6 +215,12 @@ class MixedResult(ResultBase):
         """What the findings make of the result."""
         return verdict(self.findings)
 
+    def size(self) -> dict[str, Any]:
+        """How many robots and landmarks the largest map holds, how many maps there are, and the verdict."""
+        first = self.maps[0]
+        size = {"robots": len(first.robots), "maps": len(self.maps), "landmarks": len(first.landmarks)}
+        return {**size, "verdict": self.verdict}
+
     def headline(self) -> Rows:
         where = {robot: k for k, team in enumerate(self.maps, 1) for robot in team.robots}
         kinds = self.story.kinds
@@ -234,7 +241,7 @@ class MixedResult(ResultBase):
     def write_into(self, folder: Path) -> None:
         """Landmarks, trajectories and occupancy of every component, local maps, report and, last, `metrics.json`."""
         _write_data(folder, self)
-        write_mixed_report(folder, self.story)
+        write_mixed_report(folder, self.story, self.metrics.get("online", ()))
         write_json(folder / "metrics.json", self.metrics)
 
     def write_data(self, folder: Path) -> None:
@@ -255,7 +262,34 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
     read, by_kind = _wanted(read, by_kind, options)
     _places(read, options)
     lasers = [read_laser(of.path, robot_key(robot), of.source) for robot, of in by_kind.lasers.items()]
-    return map_mixed_logs(read, lasers, options)
+    result = map_mixed_logs(read, lasers, options)
+    every = options.fuse_every
+    return result if every is None else _with_growth(result, read, lasers, every, options)
+
+
+def _with_growth(
+    result: "MixedResult",
+    landmarks: Sequence[LandmarkLog],
+    lasers: Sequence[LaserLog],
+    every: float,
+    options: MapOptions,
+) -> "MixedResult":
+    """The result, and how its map grew, each of the maps on the way as `map_mixed_logs` makes it."""
+    landmarks = [log for log in landmarks if len(log)]
+    alone = replace(options, fuse_every=None, truth=(), on_progress=no_progress)
+
+    def look(until: list[float]) -> dict[str, Any]:
+        seen = [log.until(t) for log, t in zip(landmarks, until[: len(landmarks)], strict=True)]
+        cut = [log.cut(t, log.robot)[0] for log, t in zip(lasers, until[len(landmarks) :], strict=True)]
+        seen, cut = [log for log in seen if len(log)], [log for log in cut if len(log.scans)]
+        there = {robot_key(robot) for robot in [*(log.robot for log in seen), *(log.robot for log in cut)]}
+        start = {key: pose for key, pose in options.start.items() if key in there}
+        sd = {key: known for key, known in options.start_sd.items() if key in there}
+        return map_mixed_logs(seen, cut, replace(alone, start=start, start_sd=sd)).size()
+
+    spans = [*(log.span for log in landmarks), *((float(log.scan_t[0]), float(log.scan_t[-1])) for log in lasers)]
+    rows = grown(spans, every, look, result.size(), options.on_progress)
+    return replace(result, metrics={**result.metrics, "online": rows})
 
 
 def map_mixed_logs(landmarks: Sequence[LandmarkLog], lasers: Sequence[LaserLog], options: MapOptions) -> MixedResult:
@@ -357,7 +391,6 @@ def _configured(options: MapOptions) -> MixedMapConfig:
     if options.method not in (None, *METHODS):
         raise UsageError(f"--method: mixed teams know {', '.join(METHODS)}, found {options.method!r}")
     idle = {
-        "--fuse-every": options.fuse_every,
         "--online": options.online,
         "--radios": options.radios,
         "--likelihood": options.laser.likelihood,

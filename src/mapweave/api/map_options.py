@@ -143,7 +143,7 @@ class MapOptions:
         if self.jobs < 1:
             raise UsageError(f"--jobs must be 1 or more, found {self.jobs}")
         if self.fuse_every is not None and not 0 < self.fuse_every < math.inf:
-            raise UsageError(f"--fuse-every must be more than 0 seconds, found {self.fuse_every}")
+            raise UsageError(f"--every, --fuse-every: must be more than 0 seconds, found {self.fuse_every}")
         if self.online and not self.refine:
             raise UsageError("--online: smooths while the logs play, and --no-refine leaves smoothing out: one of both")
         if self.resolution is not None and not 0 < self.resolution < math.inf:

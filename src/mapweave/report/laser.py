@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from .laser_figures import (
     median_deviation,
 )
 from .scene import Scene
+from .score import add_growth
 from .woven import not_in_first, robot_colour, write_maps, write_pairs
 
 MOST_NAMED = 4  # logs in the title
@@ -54,12 +56,13 @@ def write_laser_report(
     warnings: Sequence[str] = (),
     scores: Sequence[tuple[str, str]] = (),
     findings: Sequence[Finding] = (),
+    growth: Sequence[Mapping[str, Any]] = (),
 ) -> None:
     """`report.html` and `figures/` in `folder`, and each robot's `intensity.png` in `local/robotK/`.
 
     truth: robot -> its true trajectory, in any frame; evaluation: lines to show; notes: what else there is to say;
     warnings: of the whole, those of each robot stand in its own part; scores: headline figures against the truth;
-    findings: which make the verdict.
+    findings: which make the verdict; growth: what the maps on the way held.
     """
     several = len(maps) > 1 and bool(components)
     places = {local_map.robot: k for k, local_map in enumerate(maps)}
@@ -84,6 +87,7 @@ def write_laser_report(
         write_pairs(page, folder, maps, components, merges, places)
     if len(maps) > 1:
         _robots(page, folder, maps, truth)
+    add_growth(page, folder, growth)
     page.write(folder / "report.html")
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from ..team.smooth import Smoothed
 from .html import Page, sentence_case
 from .laser_figures import MOST_LAYERS, median_deviation, walls
 from .scene import Scene, landmark_points
+from .score import add_growth
 from .style import colour
 from .team import calibrations, measured, named
 from .woven import told_merge
@@ -78,8 +80,8 @@ def mixed_scene(story: MixedStory, k: int) -> Scene:
     return scene
 
 
-def write_mixed_report(folder: Path, story: MixedStory) -> None:
-    """`report.html` and `figures/*.png` in `folder`."""
+def write_mixed_report(folder: Path, story: MixedStory, growth: Sequence[Mapping[str, Any]] = ()) -> None:
+    """`report.html` and `figures/*.png` in `folder`. growth: what the maps on the way held."""
     whole = story.map.components
     tied, of = len(whole[0].map.robots), len(story.robots)
     first = "the map" if len(whole) == 1 else "the first map"
@@ -123,6 +125,7 @@ def write_mixed_report(folder: Path, story: MixedStory) -> None:
     )
     page.text("Seconds since the first pose of all robots.")
     calibrations(page, whole, {robot: colour(k) for k, robot in enumerate(story.robots)})
+    add_growth(page, folder, growth)
     page.write(folder / "report.html")
 
 

@@ -242,6 +242,27 @@ def growth(path: Path, points: Sequence[GrowthPoint]) -> str:
     return f"The global map while the logs played: every robot's fresher map replaces its older one.{honest}"
 
 
+def add_growth(page: Page, folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """A section on how many robots the largest map holds, and how many maps there are, over time.
+
+    rows: with `t` [s], `robots` and `maps`; of fewer than two nothing is told.
+    """
+    if len(rows) < 2:
+        return
+    path = folder / "figures" / "growth.png"
+    t = [row["t"] / 60 for row in rows]
+    with style.figure(path, 8.4, 2.3) as (_, ax):
+        for k, (key, label) in enumerate((("robots", "robots in the largest map"), ("maps", "maps"))):
+            values = [row[key] for row in rows]
+            ax.plot(t, values, color=style.colour(k), drawstyle="steps-post", marker=".", ms=4, lw=2.2 - k, label=label)
+        ax.set_ylim(bottom=0)
+        ax.yaxis.get_major_locator().set_params(integer=True)
+        ax.set_xlabel("time since the first row [min]")
+        legend_beside(ax, 10)
+    page.section("How the map grew")
+    page.figure(path, "The map of what the logs held until then, made anew each time.")
+
+
 def _band(ax: object, t: np.ndarray, points: Sequence[GrowthPoint]) -> None:
     dof = np.array([max(1, 2 * p.landmarks - 3) for p in points], dtype=float)
     low = np.array([chi2_quantile(0.025, d) / d for d in dof])
