@@ -83,6 +83,7 @@ TABLES = (
         "stdout",
     ),
     Table("logs of all kinds", "docs/laser.md", bench("places"), "stdout"),
+    Table("carried robots", "docs/laser.md", bench("carried"), "stdout"),
     Table("changed logs", "docs/laser.md", bench("laser_variants"), "stdout"),
     Table("wheels and mounting", "docs/laser.md", bench("laser_calibration"), "stdout"),
     Table("pose graphs", "docs/laser.md", bench("solve"), "stdout"),

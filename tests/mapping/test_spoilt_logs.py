@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from carried import carried
 
 import mapweave
 from mapweave.api.map_options import LaserOptions
@@ -135,21 +136,6 @@ def test_a_single_scan_that_wheels_know_nothing_of_is_placed_by_what_came_before
     assert abs(se2.wrap_angle(error[2])) < 0.05
     rest = np.delete(sparse.scan_t, at // 4)
     assert off(made, rest, places(known, rest)) < 0.15
-
-
-def carried(log, share):
-    """The log without what was driven from `share` to `share` of it, wheels and all; and when each scan truly was."""
-    first, last = (int(at * len(log.scans)) for at in share)
-    back = se2.compose(log.scans[first].odometry, se2.inverse(log.scans[last].odometry))
-    lost = log.scan_t[last] - log.scan_t[first] - 0.3
-    late = [replace(s, odometry=np.asarray(se2.compose(back, s.odometry))) for s in log.scans[last:]]
-    t = np.concatenate([log.scan_t[: first + 1], log.scan_t[last:] - lost])
-    before = log.odometry.t <= log.scan_t[first]
-    odometry = Track(log.odometry.t[before], log.odometry.pose[before], frame="odom")
-    spoilt = replace(
-        log, scan_t=t, scans=(*log.scans[: first + 1], *late), odometry=odometry, log_hash=f"carried {share}"
-    )
-    return spoilt, np.where(t > log.scan_t[first], t + lost, t)
 
 
 @pytest.mark.slow
