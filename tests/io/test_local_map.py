@@ -57,7 +57,13 @@ def test_a_local_map_is_read_back_as_it_was_written(tmp_path, cov):
     assert read_local_map(tmp_path / "blind").view is None
 
 
-@pytest.mark.parametrize("told", ["7", '{"reach": 1}', '{"left": 1, "rate": 2, "reach": 1, "right": 0}'])
+@pytest.mark.parametrize(
+    "told",
+    [
+        *("7", '{"reach": 1}', '{"left": 1, "rate": 2, "reach": 1, "right": 0}'),
+        '{"left": -3, "rate": 1, "reach": 1, "right": 3}',
+    ],
+)
 def test_a_view_that_no_sensor_has_is_an_error(tmp_path, told):
     write_local_map(tmp_path, some_map())
     header = json.loads((tmp_path / "local_map.json").read_text())

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from mapweave.core import se2
 from mapweave.core.landmark_log import NOTHING_SEEN, SightingTable
 from mapweave.core.records import Track
 from mapweave.landmarks.view import EVERY, LOOKS, SUREST, View, view_of
@@ -38,12 +39,13 @@ def test_stamps_of_any_clock_and_length_give_looks_at_poses_that_there_are():
             assert 1 <= len(looks) <= len(t)
 
 
-def test_a_view_is_read_off_what_was_sighted_and_how_often():
+@pytest.mark.parametrize("turn", [0.0, 1.5, np.pi, -2.7])
+def test_a_view_is_read_off_what_was_sighted_and_how_often_wherever_the_sensor_looks(turn):
     rng = np.random.default_rng(1)
     t = np.arange(0.0, 400.0)
-    track = Track(t, np.stack([4 * np.sin(0.05 * t), 4 * np.cos(0.05 * t), 0.3 * t], axis=-1))
+    track = Track(t, np.stack([4 * np.sin(0.05 * t), 4 * np.cos(0.05 * t), 0.3 * t - turn], axis=-1))
     places = rng.uniform(-6, 6, (30, 2))
-    true = View(3.0, -0.6, 0.4, 0.7)
+    true = View(3.0, turn - 0.6, turn + 0.4, 0.7)
     look, what = np.nonzero((true.looks(track, places) > 0) & (rng.random((400, 30)) < true.rate))
     off = places[what] - track.pose[look, :2]
     bearing = np.arctan2(off[:, 1], off[:, 0]) - track.pose[look, 2]
@@ -52,7 +54,7 @@ def test_a_view_is_read_off_what_was_sighted_and_how_often():
     view = view_of(track, table, ids, places)
     assert view is not None
     assert view.reach == pytest.approx(true.reach, abs=0.15)
-    assert (view.right, view.left) == (pytest.approx(-0.55, abs=0.05), pytest.approx(0.35, abs=0.05))
+    assert se2.wrap_angle(np.array([view.right, view.left]) - turn) == pytest.approx([-0.55, 0.35], abs=0.05)
     assert view.rate == pytest.approx(true.rate, abs=0.05)
     assert view_of(track, table, ids[:0], places[:0]) is None
 

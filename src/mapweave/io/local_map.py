@@ -115,8 +115,8 @@ class _Header:
         if not isinstance(value, dict) or set(value) != set(names) or not all(map(_is_number, value.values())):
             raise self._wrong("view", f"{', '.join(names)} or null", value)
         view = View(*(float(value[name]) for name in names))
-        if not (view.reach > 0 and 0 <= view.rate <= 1):
-            raise self._wrong("view", "a reach above 0 and a rate of 0 to 1", value)
+        if not (view.reach > 0 and view.right <= view.left and 0 <= view.rate <= 1):
+            raise self._wrong("view", "a reach above 0, left not below right, and a rate of 0 to 1", value)
         return view
 
     def findings(self) -> tuple[Finding, ...]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ..core import se2
 from ..core.landmark_log import SightingTable
@@ -21,7 +21,10 @@ SUREST = 0.9  # that what was in view ever so often is in the map: some things s
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What a sensor sees: up to `reach` [m], between the bearings `right` and `left` [rad], at a `rate` of looks."""
+    """What a sensor sees: up to `reach` [m], between the bearings `right` and `left` [rad], at a `rate` of looks.
+
+    `left` is not below `right`, so that of a sensor that looks backwards one of them lies beyond half a turn.
+    """
 
     reach: float
     right: float
@@ -31,9 +34,13 @@ class View:
     def looks(self, track: Track, points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "l n"]:
         """Which of n points, in the track's frame, each of l looks along it had in view (1) or not (0)."""
         seen = se2.act(se2.inverse(track.pose[_rows(track)])[:, None], points)
-        bearing = np.arctan2(seen[..., 1], seen[..., 0])
-        near = np.hypot(seen[..., 0], seen[..., 1]) <= self.reach
-        return np.asarray(near & (bearing >= self.right) & (bearing <= self.left), dtype=float)
+        within = self.within(np.hypot(seen[..., 0], seen[..., 1]), np.arctan2(seen[..., 1], seen[..., 0]))
+        return np.asarray(within, dtype=float)
+
+    def within(self, far: Float[np.ndarray, "*n"], bearing: Float[np.ndarray, "*n"]) -> Bool[np.ndarray, "*n"]:
+        """Whether what is so `far` [m] at a `bearing` [rad] is in view."""
+        off = np.abs(se2.wrap_angle(bearing - 0.5 * (self.right + self.left)))
+        return np.asarray((far <= self.reach) & (off <= 0.5 * (self.left - self.right)))
 
     def mapped(self, track: Track, points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
         """The probability that landmarks at n points, in the track's frame, are in the map of who drove it."""
@@ -56,12 +63,14 @@ def view_of(track: Track, seen: SightingTable, ids: Sequence[str], mean: Float[n
     if len(track.t) < 2 or not known.any():
         return None
     reach = float(np.quantile(seen.range[known], 1 - RIM))
-    right, left = (float(b) for b in np.quantile(seen.bearing[known], [RIM, 1 - RIM]))
+    ahead = float(np.angle(np.exp(1j * seen.bearing[known]).sum()))  # of the sensor, not of the robot
+    off = np.quantile(se2.wrap_angle(seen.bearing[known] - ahead), [RIM, 1 - RIM])
+    right, left = float(ahead + off[0]), float(ahead + off[1])
     view = View(reach, right, left, 1.0)
     looks = view.looks(track, mean).sum()
     if not looks:
         return None
-    inside = known & (seen.range <= reach) & (seen.bearing >= right) & (seen.bearing <= left)
+    inside = known & view.within(seen.range, seen.bearing)
     look = np.searchsorted(track.t[_rows(track)], seen.t[inside], side="right")
     sighted = len(np.unique(look * len(ids) + which[inside]))
     return View(reach, right, left, float(min(sighted / looks, 1.0)))
