@@ -17,6 +17,7 @@ from mapweave.mapping.borders import _hold_short
 from mapweave.mapping.keyframe_graph import KeyframeGraph, KeyframeGraphConfig
 from mapweave.mapping.places import PlaceMatch
 from mapweave.mapping.segments import GAP, border_covariance
+from mapweave.sim.laser import DriveConfig, Scanner
 from mapweave.sim.laser_worlds import OfficeConfig, simulate_office
 
 from ..laser.team_logs import office
@@ -32,6 +33,11 @@ def lit_office(seed, **how):
     """A drive through a small office whose light tells places apart."""
     made = simulate_office(OfficeConfig(**{"rooms": 3, "visited": 4, **how}), seed)
     return made.log, made.truth
+
+
+def short_sighted(seed):
+    """A drive through a small office with a scanner that sees 4 m."""
+    return office(seed, drive=DriveConfig(scanner=Scanner(far=4.0)))
 
 
 def places(result, t):
@@ -149,6 +155,7 @@ def test_a_single_scan_that_wheels_know_nothing_of_is_placed_by_what_came_before
         (5, (0.45, 0.7), office),  # one place of 86 is the right one, against the step over the border
         (15, (0.2, 0.5), office),  # no place that leaves no doubt is
         (11, (0.45, 0.7), lit_office),
+        (200, (0.374, 0.541), short_sighted),  # no place that leaves no doubt is, and the best of the others fits well
     ],
 )
 def test_a_robot_that_is_carried_among_rooms_that_look_alike_is_found_by_what_it_saw_through(seed, share, drive):
@@ -158,6 +165,15 @@ def test_a_robot_that_is_carried_among_rooms_that_look_alike_is_found_by_what_it
     made = mapweave.map([spoilt])
     assert off(made, spoilt.scan_t, true) < 0.3
     assert made.verdict == "good"
+
+
+@pytest.mark.slow
+def test_among_people_the_place_that_least_is_seen_through_is_taken_and_that_another_may_be_it_is_told():
+    log, truth = office(203, drive=DriveConfig(people=6))
+    spoilt, t = carried(log, (0.217, 0.486))
+    made = mapweave.map([spoilt])
+    assert off(made, spoilt.scan_t, truth.pose[np.abs(truth.t[:, None] - t[None]).argmin(axis=0)]) < 0.3
+    assert "place-unclear" in {f.code for f in made.findings}
 
 
 @pytest.mark.slow

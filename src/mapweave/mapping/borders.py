@@ -31,7 +31,8 @@ from .segments import GAP, LONG, REFUSED
 
 LEAD = 2.0  # times the evidence of any other place that leaves no doubt
 LENIENT = 2.0  # times the share that two maps contradict of themselves, and
-BENDS = 0.01  # besides, for they bend: so much of what both saw may be unlike where they meet
+BENDS = 0.01  # besides, for they bend: so much of what both saw may be unlike where they meet. Of maps in which people
+# walk that is nearly all: then another place may fit, too, but the best is the one that `LEAST_ALIKE` says
 HELD = np.array([40.0, 40.0])  # points that hold a place which the search has let through, at least
 
 
@@ -58,14 +59,15 @@ def decide_borders(graph: KeyframeGraph) -> tuple[int, ...]:
     unclear = []
     for s, k in enumerate(cuts, start=1):
         after, over = np.flatnonzero(segment == s), np.flatnonzero((high == s) & (low < s)).tolist()
-        if not over or graph.nodes[k].border == GAP or not long[s]:
+        if not over or graph.nodes[k].border == GAP or not long[s] or not long[:s].any():
             continue
         a, b, found, ways = _ways(graph, k, over, alone.pose[after])
-        most, best = max(ways, key=lambda way: way[0])
-        if most <= 0.0 and best.evidence(LEAST_ALIKE) <= 0.0:
+        alike = 1.0 - min(LENIENT * (a.own + b.own + BENDS), 1.0)
+        best = max(ways, key=lambda c: c.evidence(max(alike, LEAST_ALIKE)))
+        if best.evidence(min(alike, LEAST_ALIKE)) <= 0.0:
             continue
-        others = [e for e, c in ways if not same_place(b, c.transform, best.transform)]
-        if others and (most <= 0.0 or LEAD * max(others) > most):
+        others = [c.evidence(alike) for c in ways if not same_place(b, c.transform, best.transform)]
+        if others and LEAD * max(*others, 0.0) >= best.evidence(alike):
             unclear.append(k)
         share = f"{100.0 * best.seen.share:.0f} % of what both sides saw is alike"
         away = apart(b, found, best.transform, 2.0 * AGREE, 2.0 * AGREE_TURN) > 1.0
@@ -73,7 +75,7 @@ def decide_borders(graph: KeyframeGraph) -> tuple[int, ...]:
         if away.all():
             for h in best.members:
                 _tie(graph, h, a.pose[h.at], k, share)
-        before = int(last[np.flatnonzero(long[:s])[-1]]) if long[:s].any() else k - 1
+        before = int(last[np.flatnonzero(long[:s])[-1]])
         carried_off = _away(graph, before, k, best.transform) > CARRIED
         if carried_off:
             graph.carried |= {next((i for i in cuts if before < i <= k and graph.nodes[i].border == REFUSED), k)}
@@ -85,19 +87,16 @@ def decide_borders(graph: KeyframeGraph) -> tuple[int, ...]:
 
 def _ways(
     graph: KeyframeGraph, k: int, over: Sequence[int], pose: Float[np.ndarray, "m 3"]
-) -> tuple[KeyframeMap, KeyframeMap, list[Hypothesis], list[tuple[float, Candidate]]]:
-    """The maps before keyframe `k` and of its segment, places `over` the border, and transforms with their evidence.
+) -> tuple[KeyframeMap, KeyframeMap, list[Hypothesis], list[Candidate]]:
+    """The maps before keyframe `k` and of its segment, places `over` the border, and transforms that are possible.
 
-    pose: of the segment's keyframes. Where all those places are contradicted, all that are possible are asked.
+    pose: of the segment's keyframes. Not only what those places tell: they are what leaves no doubt to who looks at a
+    few metres, and of rooms that look alike all may be of the wrong one.
     """
     a = _map(graph, np.arange(k), np.asarray(graph.pose[:k]))
     b = _map(graph, np.arange(k, k + len(pose)), np.asarray(se2.between(pose[0], pose)))
-    alike = max(0.0, 1.0 - LENIENT * (a.own + b.own + BENDS))
     found = [_hypothesis(graph, n, k, b) for n in over]
-    ways = [(c.evidence(alike), c) for c in candidates(a, b, found)]
-    if max(e for e, _ in ways) <= 0.0:
-        ways += [(c.evidence(alike), c) for c in candidates(a, b, hypotheses(a, b))]
-    return a, b, found, ways
+    return a, b, found, [*candidates(a, b, found), *candidates(a, b, hypotheses(a, b))]
 
 
 def _hold_short(
