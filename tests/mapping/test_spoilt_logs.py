@@ -15,6 +15,8 @@ from mapweave.laser.pose_graph import PoseGraph
 from mapweave.laser.scan_odometry import blended
 from mapweave.mapping.borders import _hold_short
 from mapweave.mapping.keyframe_graph import KeyframeGraph, KeyframeGraphConfig
+from mapweave.mapping.map_overlap import keyframe_map
+from mapweave.mapping.merge_search import hypotheses
 from mapweave.mapping.places import PlaceMatch
 from mapweave.mapping.segments import GAP, border_covariance
 from mapweave.sim.laser import DriveConfig, Scanner
@@ -165,6 +167,15 @@ def test_a_robot_that_is_carried_among_rooms_that_look_alike_is_found_by_what_it
     made = mapweave.map([spoilt])
     assert off(made, spoilt.scan_t, true) < 0.3
     assert made.verdict == "good"
+
+
+@pytest.mark.slow
+def test_of_too_many_pairs_of_submaps_some_are_searched_spread_over_the_way(whole):
+    drive = keyframe_map(whole[1].maps[0].graph)
+    every, few = hypotheses(drive, drive), hypotheses(drive, drive, 3 * len(drive.submaps))
+    anchors = sorted({h.anchor for h in few})
+    assert (len(anchors), len({h.anchor for h in every})) == (3, len(drive.submaps))
+    assert (anchors[0], anchors[-1]) == (drive.submaps[0].anchor, drive.submaps[-1].anchor)
 
 
 @pytest.mark.slow

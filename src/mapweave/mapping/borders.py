@@ -33,6 +33,7 @@ LEAD = 2.0  # times the evidence of any other place that leaves no doubt
 LENIENT = 2.0  # times the share that two maps contradict of themselves, and
 BENDS = 0.01  # besides, for they bend: so much of what both saw may be unlike where they meet. Of maps in which people
 # walk that is nearly all: then another place may fit, too, but the best is the one that `LEAST_ALIKE` says
+MOST_PAIRS = 5000  # of submaps of what came before and after that are searched: a second or two, however far it drove
 HELD = np.array([40.0, 40.0])  # points that hold a place which the search has let through, at least
 
 
@@ -96,7 +97,7 @@ def _ways(
     a = _map(graph, np.arange(k), np.asarray(graph.pose[:k]))
     b = _map(graph, np.arange(k, k + len(pose)), np.asarray(se2.between(pose[0], pose)))
     found = [_hypothesis(graph, n, k, b) for n in over]
-    return a, b, found, [*candidates(a, b, found), *candidates(a, b, hypotheses(a, b))]
+    return a, b, found, [*candidates(a, b, found), *candidates(a, b, hypotheses(a, b, MOST_PAIRS))]
 
 
 def _hold_short(

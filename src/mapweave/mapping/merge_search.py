@@ -126,14 +126,18 @@ def whole_place(a: KeyframeMap, *, featured: bool) -> LikelihoodField:
     return likelihood_field(cloud, q)
 
 
-def hypotheses(a: KeyframeMap, b: KeyframeMap) -> list[Hypothesis]:
-    """Where the submaps of b may lie in those of a: the best and the next best place of each pair of them."""
+def hypotheses(a: KeyframeMap, b: KeyframeMap, most: int | None = None) -> list[Hypothesis]:
+    """Where the submaps of b may lie in those of a: the best and the next best place of each pair of them.
+
+    most: pairs that are searched, about: of more, some submaps of b, spread over it. None: all of them.
+    """
     index = PlaceIndex()
     for submap in a.submaps:
         index.add(submap)
+    asked = len(b.submaps) if most is None else max(most // max(len(a.submaps), 1), 1)
     found = []
-    for submap in b.submaps:
-        found += index.search(index.add(submap), range(len(a.submaps)), every=True)
+    for k in spread(len(b.submaps), asked):
+        found += index.search(index.add(b.submaps[k]), range(len(a.submaps)), every=True)
     return [_hypothesis(a, b, index, match) for match in found]
 
 
