@@ -29,7 +29,7 @@ from .merge_search import (
 )
 from .segments import GAP, LONG, REFUSED
 
-LEAD = 2.0  # times the evidence of any other place that leaves no doubt
+LEAD = 2.5  # times the evidence of any other place that leaves no doubt
 LENIENT = 2.0  # times the share that two maps contradict of themselves, and
 BENDS = 0.01  # besides, for they bend: so much of what both saw may be unlike where they meet. Of maps in which people
 # walk that is nearly all: then another place may fit, too, but the best is the one that `LEAST_ALIKE` says
