@@ -69,12 +69,13 @@ def test_options_beyond_all_use_are_refused_with_the_number(tmp_path, world, opt
 @pytest.mark.parametrize(
     ("world", "settings", "message"),
     [
-        (FIELD, "[mission]\ncell = 1e-9", r"mission\.cell, 2 robots: .* has 1e\+20 of them"),
-        (WALLED, "[walls]\npath_cell = 1e-9", r"walls\.path_cell / 4: .* of them"),
+        (FIELD, "[mission]\ncell = 1e-5", r"mission\.cell, 2 robots: .* has 1e\+12 of them"),
+        (FIELD, "[mission]\ncell = 1e-9", r"mission\.cell: expected at least 1e-06, found 1e-09"),
+        (WALLED, "[walls]\npath_cell = 1e-5", r"walls\.path_cell / 4: .* of them"),
         (FIELD, "[commands]\nspeeds = [1e308]", r"commands\.speeds\.0: expected at most 1e\+09, found 1e\+308"),
         (ROOM, "[plan]\nresolution = 1e9", r"plan\.resolution: expected at most 1, found 1e\+09"),
-        (ROOM, "[plan]\nresolution = 1e-7", r"plan\.resolution: .* has 3e\+15 of them"),
-        (ROOM, "map_resolution = 1e-9", "map_resolution: .* of them"),
+        (ROOM, "[plan]\nresolution = 1e-6", r"plan\.resolution: .* has 3e\+13 of them"),
+        (ROOM, "map_resolution = 1e-7", "map_resolution: .* of them"),
         (ROOM, "[plan.allocation]\nparked_cost = 300", r"constants since 0\.2, to be left out: plan\.allocation$"),
         (ROOM, "[plan]\nspeed = 0.3", r"plan\.speed: is now robots\.speed$"),
         (ROOM, "[plan]\nmax_steps = 0", r"plan\.max_steps: expected a number above 0, found 0"),
