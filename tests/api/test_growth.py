@@ -48,6 +48,11 @@ def test_what_cannot_be_mapped_yet_is_told():
     }
 
 
+def test_one_name_of_the_option_is_enough(tmp_path):
+    with pytest.raises(UsageError, match="one of both"):
+        mapweave.map(tmp_path, every=5.0, fuse_every=6.0)
+
+
 @pytest.mark.slow
 def test_a_laser_team_tells_how_its_map_grew_and_ends_as_it_does_without(tmp_path):
     log, _ = office(3)

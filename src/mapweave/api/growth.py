@@ -20,9 +20,8 @@ def grown(
     """What `look` tells of the logs up to every moment, `every` seconds apart, `t` [s] after the first row of all.
 
     spans: first and last stamp of each log; look: takes the stamp up to which each log is asked; at_last: what it would
-    tell of them whole. Logs that nobody
-    recorded at the same time are each asked up to as long after its own beginning. What cannot be mapped yet is told
-    as `refused`. Raises UsageError where that were more than `MOST_LOOKS` maps.
+    tell of them whole. Logs that nobody recorded at the same time are each asked up to as long after its own beginning.
+    What cannot be mapped yet is told as `refused`. Raises UsageError where that were more than `MOST_LOOKS` maps.
     """
     first, last = np.array(spans, dtype=float).T
     began = np.full(len(first), first.min()) if first.max() < last.min() else first

@@ -197,9 +197,9 @@ def map(  # noqa: A001  (the verb)
         How many robots are worked on at once, in processes of our own (1).
     every
         Also make the map of what came until then every so many seconds [s] of the logs, and tell in `metrics["online"]`
-        how it grew (not at all). Of lasers and mixed teams each is made anew.
+        how it grew (not at all). Of lasers and mixed teams each is made anew, without `decisions`.
     fuse_every
-        The same.
+        The same, as it was called when landmark logs alone had it: one of both.
     refine
         Smooth the whole team at the end: all trajectories, landmarks and calibrations in one problem (True). Landmark
         logs alone.
@@ -255,6 +255,8 @@ def map(  # noqa: A001  (the verb)
     >>> result.maps[0].landmarks.mean.shape
     (7, 2)
     """
+    if every is not None and fuse_every is not None:
+        raise UsageError("--every, --fuse-every: are the same, expected one of both")
     options = MapOptions(
         robots=None if robots is None else tuple(sorted({key_of(robot) for robot in robots}, key=in_order)),
         method=method,
