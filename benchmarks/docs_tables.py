@@ -56,6 +56,7 @@ TABLES = (
     Table("mutants", "docs/contributing.md", bench("mutants", "--quick", "--n", "6", "--seed", "23", "--page"), "page"),
     Table("changes", "docs/laser-teams.md", bench("changes"), "stdout"),
     Table("scanners that turn", "docs/laser.md", bench("sweep"), "stdout"),
+    Table("glass", "docs/laser.md", bench("glass"), "stdout"),
     Table("doctor trials", "docs/doctor.md", bench("doctor"), "stdout"),
     Table(
         "merge trials",

@@ -25,8 +25,7 @@ from mapweave.core.errors import DataError
 from mapweave.core.laser_log import LaserLog
 from mapweave.io.assemble import RawLog
 from mapweave.io.laser_logs import read_laser
-from mapweave.kernels.walls.raycast import cast
-from mapweave.sim.laser import DriftConfig, DriveConfig, LaserWorld, Scanner, WallStyle, WorldBuilder, drive, through
+from mapweave.sim.laser import DriftConfig, DriveConfig, Scanner, WallStyle, WorldBuilder, drive, through
 from mapweave.sim.laser_worlds import OfficeConfig, TunnelConfig, office_route, office_world, simulate_tunnel
 
 DRIFT = DriftConfig(end_error=(1.0, 2.0))
@@ -149,20 +148,10 @@ def turned(rng: Rng) -> Change:
 def glass(rng: Rng, _: int) -> list[RawLog]:
     """A share of the walls is glass: seen where it is hit squarely, seen through elsewhere."""
     cfg, seed = office(rng), int(rng.integers(1000))
-    world, route = office_world(cfg, seed), office_route(cfg, seed)
+    world = office_world(cfg, seed)
     pane = rng.random(len(world.segments)) < SHARE_OF_GLASS
-    rest = LaserWorld(world.segments[~pane], world.reflectance[~pane], name=world.name)
-    whole, without = (drive(w, route, cfg.drive, seed) for w in (world, rest))
-    at = np.interp(whole.log.scan_t, whole.truth.t, np.arange(len(whole.truth.t))).astype(int)
-    nobody = np.zeros((len(at), 0, 3))
-    beams = cfg.drive.scanner.angles()
-    _, what, cosine = cast(whole.truth.pose[at], beams, world.segments, nobody, cfg.drive.scanner.far + 0.3)
-    through_it = np.append(pane, False)[what] & (cosine < GLASS_SEEN)
-    mixed = [
-        replace(a, ranges=np.where(away, b.ranges, a.ranges), hit=np.where(away, b.hit, a.hit))
-        for a, b, away in zip(whole.log.scans, without.log.scans, through_it, strict=True)
-    ]
-    return [raw(replace(whole.log, scans=tuple(mixed)))]
+    glazed = replace(world, shown=np.where(pane, GLASS_SEEN, 0.0))
+    return [raw(drive(glazed, office_route(cfg, seed), cfg.drive, seed).log)]
 
 
 def corridor(rng: Rng, _: int) -> list[RawLog]:

@@ -17,7 +17,7 @@ from mapweave.kernels.laser.icp import IcpRules, intensity_icp, sort_into_cells
 from mapweave.kernels.laser.joint_scans import BeamIndex, LineGate, ScanLines, beams_by_direction, match_pairs
 from mapweave.kernels.laser.likelihood_field import score_field
 from mapweave.kernels.laser.local_map import MatchCost, ScanPoints, add_points, align_scan, count_matches, fit_lines
-from mapweave.kernels.laser.moving import BeamRanges, Thing, moving_returns
+from mapweave.kernels.laser.moving import BeamRanges, Thing, flat_faces, moving_returns
 from mapweave.kernels.laser.place_refine import fit_normals, lay_onto_lines
 from mapweave.kernels.laser.place_search import bound, stamp, turned_cells
 from mapweave.kernels.laser.pose_edges import edge_normal, edge_residuals, edge_squares
@@ -28,7 +28,7 @@ from mapweave.kernels.laser.tile_writing import insert, touch
 from mapweave.kernels.laser.tiles import FLOATS, TileBooks, TileMaps, gather
 from mapweave.kernels.laser.windows import NearestRule, score
 from mapweave.kernels.mapping.places import Clouds, SearchedField, SearchRules, heading_peaks, search_submaps
-from mapweave.kernels.mapping.views import judge_walls
+from mapweave.kernels.mapping.views import Looks, judge_walls
 from mapweave.kernels.walls.raycast import cast
 from mapweave.kernels.walls.segments import (
     Raster,
@@ -202,9 +202,14 @@ def matched(x):
 def moved(x):
     n, m = x.count(), 3
     step = float(x.rng.choice([0.0, 1e-6, 0.01, -0.01, 3.0]))
-    scan = BeamRanges(np.abs(x(n)), x.marks(n), float(x.angles()), step, 30.0)
-    thing = Thing(0.2, 0.1, 0.3, 1.0, 0.2, 0.1, 0.5, 1, 3, 1)
-    moving_returns(scan, np.abs(x(m, n)), x.marks(m, n), x.poses(m), np.abs(x(m)), thing)
+    thing = Thing(0.2, 0.1, 0.3, 1.0, 0.2, 0.1, 0.5, 1, 3, 1, 0.35, 0.01, 0.8)
+    ranges, hit, first = np.abs(x(n)), x.marks(n), float(x.angles())
+    faces = flat_faces(ranges, hit, first, step, thing)
+    assert (np.hypot(*faces[:, :2].T) < 1.0 + 1e-9).all()
+    scan = BeamRanges(ranges, hit, first, step, 30.0, faces)
+    before, there = np.abs(x(m, n)), x.marks(m, n)
+    past = np.array([flat_faces(a, b, first, step, thing) for a, b in zip(before, there, strict=True)])
+    moving_returns(scan, before, there, past, x.poses(m), np.abs(x(m)), thing)
 
 
 def seen_among_walls(x):
@@ -256,8 +261,11 @@ def lined(x):
 def viewed(x):
     n, walls, bins = 3, 12, 8
     poses, views = np.array([x.poses() for _ in range(n)]), x(n, bins)
-    seen, gone = judge_walls(poses, views, x(walls, 2), x(walls, 2), 8.0, 0.2, 0.02, 0.4, 0.2)
-    assert max(seen.max(), gone.max()) <= n
+    squarely = np.array([0.75, 0.9])
+    given = x(walls, 2), x(walls, 2), x.marks(walls)
+    seen, gone, deep = judge_walls(poses, views, *given, Looks(8.0, 0.2, 0.02, 0.4, 1.0, 0.2), squarely)
+    assert (deep <= gone).all()
+    assert (seen + gone).sum(axis=1).max() <= n
 
 
 KERNELS = [

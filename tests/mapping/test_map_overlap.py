@@ -5,6 +5,7 @@ import numpy as np
 from mapweave.core import se2
 from mapweave.kernels.mapping.views import judge_walls
 from mapweave.mapping.map_overlap import (
+    LOOKS,
     SAME_WALL,
     SAME_WALL_SHARE,
     SIDED,
@@ -49,8 +50,12 @@ def test_a_wall_is_seen_or_seen_through_as_each_view_has_it():
     T = se2.compose(made.transform, np.array([0.3, -0.2, 0.05]))
     walls, side = se2.act(T, made.b.walls), made.b.walls_side @ se2.rotation(float(T[2])).T
     a, rows = made.a, np.arange(0, len(made.a.pose), 7)
-    args = VIEW_REACH, SAME_WALL, SAME_WALL_SHARE, VIEW_THROUGH, SIDED
-    seen, gone = judge_walls(a.pose[rows], a.views[rows], walls, side, *args)
+    args = LOOKS, np.array([0.5, 0.9])
+    bands = judge_walls(a.pose[rows], a.views[rows], walls, side, (side != 0.0).any(axis=1), *args)
+    seen, gone, deep = (band.sum(axis=1) for band in bands)
+    assert 0 < deep.sum() < gone.sum()
+    assert (bands[2] <= bands[1]).all()
+    seen_banded = np.zeros_like(bands[0])
     bins = a.views.shape[1]
     seen_here, gone_here, behind = np.zeros(len(walls)), np.zeros(len(walls)), np.zeros(len(walls))
     for k in rows.tolist():
@@ -62,9 +67,13 @@ def test_a_wall_is_seen_or_seen_through_as_each_view_has_it():
         facing = ((a.pose[k, :2] - walls) * side).sum(axis=1) > -SIDED * r
         seen_here, behind = seen_here + (like & facing), behind + (like & ~facing)
         gone_here += known & ~like & (around.min(axis=0) - r > VIEW_THROUGH)
+        cosine = np.abs(((a.pose[k, :2] - walls) * side).sum(axis=1)) / r
+        np.add.at(seen_banded, (np.arange(len(walls)), (cosine >= 0.5).astype(int) + (cosine >= 0.9)), like & facing)
     assert min(seen_here.sum(), gone_here.sum(), behind.sum()) > 0
     assert np.abs(seen - seen_here).sum() <= 2  # a direction on the border of two bins may fall to either
     assert np.abs(gone - gone_here).sum() <= 2
+    assert np.abs(bands[0] - seen_banded).sum() <= 4
+    assert (bands[0].sum(axis=0) > 0).all()
 
 
 def room_seen(gone: float) -> KeyframeMap:

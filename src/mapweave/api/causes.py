@@ -36,13 +36,7 @@ FEW, NEAR = 60, 1.5  # returns of a scan on the median and [m] that nearly all l
 PAUSE, AWAY = 5.0, 1.0  # times the usual time from scan to scan, in which the robot drove so far [m]: a gap
 STRETCH, APART, SLIPS = 1.0, 0.2, 0.2  # [m] by the wheels, share by which ways differ, share of stretches that do
 PEOPLE = 0.03  # of all returns, that were left out as of things that move
-FLICKER = 0.002  # of all returns at least: those of glass come and go
-PANES = 0.005  # of the walls are seen where they are hit squarely, and seen through at a slant
 ALONG = 0.012  # of what walls tell, along the direction that they tell least of, on the median keyframe: a corridor
-SQUARE, SLANT = 0.9, (0.3, 0.8)  # cosines of incidence
-ASKED = 1500  # places on walls that are asked whether they are panes
-BEAM = 0.015  # [rad] from a place to the return that is taken for its direction's
-SAME, BEYOND, FARTHEST = 0.15, 0.4, 6.0  # [m] from a wall: on it; behind it; from the scanner
 
 MENDS = {  # cause: what it is in words, and what mends it
     "units": (
@@ -129,6 +123,7 @@ TOLD = {  # code of a finding: the cause that it is a sign of by itself
     "wheels-unlike": "scale",  # or another unit, where it is far off
     "place-unclear": "symmetry",
     "cut-disputed": "symmetry",
+    "glass-seen": "glass",
 }
 WEAK = {"wheels-disagree": "slip", "way-bent": "symmetry", "walls-seen-through": "symmetry"}  # where nothing else shows
 
@@ -274,11 +269,8 @@ def _measured(m: LaserMap, findings: Sequence[Finding]) -> Iterator[tuple[str, s
     moving = m.dropped.get("return of something that moves", 0) / max(1, int(beams.sum()))
     if moving >= PEOPLE:
         yield "people", f"{100 * moving:.0f} % of the returns moved"
-    if m.graph is not None and len(m.graph.points):
-        if FLICKER <= moving < PEOPLE and (panes := _panes(m.graph)) >= PANES:
-            yield "glass", f"{100 * panes:.1f} % of the walls are seen squarely and seen through at a slant"
-        if (along := _along(m.graph)) < ALONG:
-            yield "corridor", f"of what walls tell, {100 * along:.1f} % is along the way"
+    if m.graph is not None and len(m.graph.points) and (along := _along(m.graph)) < ALONG:
+        yield "corridor", f"of what walls tell, {100 * along:.1f} % is along the way"
 
 
 def _calibrated(m: LaserMap) -> Iterator[tuple[str, str]]:
@@ -330,35 +322,3 @@ def _along(g: RobotGraph) -> float:
     """The share of what walls tell that is of the direction they tell least of, on the median keyframe."""
     normals = [g.normals[g.rows(k)] for k in range(len(g)) if len(g.points[g.rows(k)]) > 10]
     return float(np.median([np.linalg.eigvalsh(n.T @ n / len(n))[0] for n in normals])) if normals else 1.0
-
-
-def _panes(g: RobotGraph) -> float:
-    """The share of places on walls that are seen where they are hit squarely and seen through at a slant."""
-    owner = np.repeat(np.arange(len(g)), np.diff(g.start))
-    some = np.flatnonzero(g.lined)
-    some = some[np.linspace(0, len(some) - 1, min(ASKED, len(some))).astype(int)]
-    home = g.pose[owner[some]]
-    place = se2.act(home, g.points[some])
-    normal = se2.act(home * (0.0, 0.0, 1.0), g.normals[some])
-    square, slant, past = np.zeros((3, len(some)), dtype=int)
-    for k in range(len(g)):
-        seen = g.points[g.rows(k)] - g.sensor[k]
-        if len(seen) < 2:
-            continue
-        bearing = np.arctan2(seen[:, 1], seen[:, 0])
-        order = np.argsort(bearing)
-        bearing, r = bearing[order], np.hypot(*seen.T)[order]
-        to = place - se2.act(g.pose[k], g.sensor[k])
-        d = np.maximum(np.hypot(*to.T), 1e-9)
-        asked = se2.wrap_angle(np.arctan2(to[:, 1], to[:, 0]) - g.pose[k, 2])
-        at = np.searchsorted(bearing, asked).clip(1, len(bearing) - 1)
-        at -= np.abs(bearing[at - 1] - asked) < np.abs(bearing[at] - asked)
-        met = (np.abs(bearing[at] - asked) < BEAM) & (d < FARTHEST)
-        cosine = np.abs(np.sum(to * normal, axis=1)) / d
-        slanted = (cosine > SLANT[0]) & (cosine < SLANT[1])
-        on, behind = met & (np.abs(r[at] - d) < SAME), met & (r[at] > d + BEYOND)
-        square += (on & (cosine > SQUARE)).astype(int) - (behind & (cosine > SQUARE))
-        slant += on & slanted
-        past += behind & slanted
-    both = (square >= 1) & (slant + past >= 2)
-    return float((both & (past >= 2) & (past > 2 * slant)).sum() / max(1, int(both.sum())))

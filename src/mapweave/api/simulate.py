@@ -248,6 +248,11 @@ def _mcap(out: Path | str) -> Path:
     return path
 
 
+def _check_share(option: str, value: float) -> None:
+    if not 0 <= value <= 1:
+        raise UsageError(f"{option}: expected a share from 0 to 1, found {value:g}")
+
+
 def _check(world: World) -> None:
     drive = world.drive
     positive: dict[str, float] = {
@@ -265,6 +270,7 @@ def _check(world: World) -> None:
             raise UsageError(f"--start: expected {between}, found {world.start:g}")
     elif isinstance(world, OfficeConfig):
         positive |= {"--rooms": world.rooms, "--visited": world.visited}
+        _check_share("--glazed", world.glazed)
     else:
         positive |= {"--length": world.length - 10, "--width": world.width}
     for option, value in positive.items():

@@ -550,7 +550,7 @@ COMMANDS: dict[str, Command | dict[str, Command]] = {
             (2.0, 4.0),
             "A laser drive through an office floor.",
             "office --out drive.mcap --seed 3",
-            *("rooms", "room_width", "room_depth", "visited"),
+            *("rooms", "room_width", "room_depth", "visited", "glazed"),
         ),
         "tunnel": _world(
             "sim.laser_worlds:TunnelConfig",

@@ -74,6 +74,13 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "and over sills.",
             "Look for rooms that lie on each other in the map; give the parts of the log as logs of their own.",
         ),
+        "glass-seen": FindingKind(
+            "note",
+            "{value:.1f} m of walls are seen where they are hit squarely and seen through at a slant, as glass is",
+            "Glass returns light where a beam meets it squarely, and lets it through elsewhere. Where the robot never "
+            "looked at a pane squarely the map does not know it.",
+            "Nothing: such walls stay in the map, whatever went through them. Mask panes by hand where none were hit.",
+        ),
         "segment-apart": FindingKind(
             "doubtful",
             "a piece of {value:.1f} m shares no place with what came before it",

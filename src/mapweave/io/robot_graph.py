@@ -29,6 +29,7 @@ def write_robot_graph(path: Path, graph: RobotGraph) -> None:
         **{name: np.asarray(a, np.float32) for name in THIN if (a := getattr(graph, name)) is not None},
         "border": np.array(graph.border),
         "unclear": np.array(graph.unclear, dtype=np.int64),
+        "glass": np.flatnonzero(graph.glass),
         **_closures(graph.closures),
         **_revisits(graph.revisits),
     }
@@ -132,6 +133,7 @@ def _graph_of(held: dict[str, np.ndarray]) -> RobotGraph:
         revisits=_read_revisits(held, n),
         border=_read_border(held, n),
         unclear=tuple(k for k in held.get("unclear", np.zeros(0)).tolist() if 0 <= k < n),
+        glass=np.isin(np.arange(m), held.get("glass", np.zeros(0))),
         **{name: held[_key(name)] for name in ARRAYS},
     )
 

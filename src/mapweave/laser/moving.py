@@ -10,7 +10,7 @@ from ..core import se2
 from ..core.config import config
 from ..core.records import Scan, frozen
 from ..core.rows import spread
-from ..kernels.laser.moving import BeamRanges, Thing, moving_returns
+from ..kernels.laser.moving import BeamRanges, Thing, flat_faces, moving_returns
 
 MOVING_EARLIER = 4  # earlier scans that are asked,
 LEAST_AGE = 0.4  # [s] so old at least and
@@ -25,11 +25,29 @@ MOVING_SLANT = 1.5  # times the range's change to the next beam: more of a margi
 MOVING_VOTES = 2  # more earlier scans that say that a return moved than say the opposite
 LEAST_RUN = 3  # returns beside each other that seem to move, where they do not stand free
 MOVING_BESIDE = 2  # returns on either side of such a run that move with it, where their ranges go on
+FACE = 0.35  # [m] wide at least is a flat face: what is hit squarely and passed at a slant may be glass,
+FLAT = 0.01  # [m] so flat,
+FACE_PANE = 0.8  # [m] and so wide, where it is not hit less squarely than it is passed
 MOVING_BLUR = 0.01  # [rad] the heading between scans may be wrong, and
 BLUR_SHARE = 0.2  # [rad/rad] of what was turned between that is added
 MOVING_ASTRAY = 0.006  # [rad] mean error of headings before matching from which on nothing is left out
 MOVING_FORGET = 0.97  # of that mean, a scan
 MOST_SHARE = 0.3  # of a scan's returns that may move: when more seem to, it is the robot's pose that is off
+THING = Thing(
+    MOVING_JUMP,
+    JUMP_SHARE,
+    MOVING_AHEAD,
+    MOVING_WIDEST,
+    MOVING_MARGIN,
+    MOVING_SAME,
+    MOVING_SLANT,
+    MOVING_VOTES,
+    LEAST_RUN,
+    MOVING_BESIDE,
+    FACE,
+    FLAT,
+    FACE_PANE,
+)
 
 
 @config
@@ -43,6 +61,7 @@ class _Earlier(NamedTuple):
     t: float
     ranges: Float[np.ndarray, " n"]
     hit: Bool[np.ndarray, " n"]
+    faces: Float[np.ndarray, "n 4"]
     first: float
     step: float
     sensor: Float[np.ndarray, "3"]  # on the robot
@@ -66,7 +85,11 @@ class MovingReturns:
     def cleaned(self, t: float, scan: Scan, pose: Float[np.ndarray, "3"]) -> Scan:
         """The scan without returns of things that move. pose: of the robot, as far as it is known before matching."""
         sensor = np.asarray(se2.compose(pose, scan.T_robot_sensor))
-        now = _Earlier(t, scan.ranges, scan.hit, scan.angle_min, scan.angle_increment, scan.T_robot_sensor, sensor)
+        hit = frozen(scan.hit, dtype=np.bool_)
+        faces = flat_faces(frozen(scan.ranges), hit, scan.angle_min, scan.angle_increment, THING)
+        now = _Earlier(
+            t, scan.ranges, scan.hit, faces, scan.angle_min, scan.angle_increment, scan.T_robot_sensor, sensor
+        )
         self._latest, self._expected = scan.T_robot_sensor.tobytes(), np.asarray(pose)
         held = self._earlier.setdefault(scan.T_robot_sensor.tobytes(), [])
         if held and (len(held[-1].ranges), held[-1].first, held[-1].step) != (len(now.ranges), now.first, now.step):
@@ -82,27 +105,18 @@ class MovingReturns:
         moves = moving_returns(
             BeamRanges(
                 frozen(scan.ranges),
-                frozen(scan.hit, dtype=np.bool_),
+                hit,
                 scan.angle_min,
                 scan.angle_increment,
                 float(min(scan.range_max, 1e6)),
+                faces,
             ),
             np.array([one.ranges for one in asked]),
             np.array([one.hit for one in asked]),
+            np.array([one.faces for one in asked]),
             poses,
             MOVING_BLUR + BLUR_SHARE * np.abs(poses[:, 2]),
-            Thing(
-                MOVING_JUMP,
-                JUMP_SHARE,
-                MOVING_AHEAD,
-                MOVING_WIDEST,
-                MOVING_MARGIN,
-                MOVING_SAME,
-                MOVING_SLANT,
-                MOVING_VOTES,
-                LEAST_RUN,
-                MOVING_BESIDE,
-            ),
+            THING,
         )
         moving = int(moves.sum())
         if not 0 < moving <= MOST_SHARE * int(scan.hit.sum()):

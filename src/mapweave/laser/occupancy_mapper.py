@@ -68,10 +68,11 @@ def render(
     sensors: Float[np.ndarray, "m 3"],
     resolution: float,
     frame: str,
+    glass: Float[np.ndarray, "g 2"] = NO_ENDS,
 ) -> GridMap:
     """The map of `scans` taken at `poses` (robot in `frame`) with the sensor at `sensors` on the robot."""
     laid = [Returns(b.s, NO_ENDS, T[:2], np.column_stack([b.q, b.w])) for b, T in zip(scans, sensors, strict=True)]
-    return render_returns(laid, poses, resolution, frame)
+    return render_returns(laid, poses, resolution, frame, glass)
 
 
 def keyframe_returns(graph: RobotGraph, *, lit: bool = True) -> list[Returns]:
@@ -87,14 +88,20 @@ def keyframe_returns(graph: RobotGraph, *, lit: bool = True) -> list[Returns]:
 
 def render_keyframes(graph: RobotGraph, resolution: float, frame: str) -> GridMap:
     """The map of the keyframes of `graph` alone, in the frame of its poses."""
-    return render_returns(keyframe_returns(graph), graph.pose, resolution, frame)
+    return render_returns(keyframe_returns(graph), graph.pose, resolution, frame, graph.panes())
 
 
-def render_returns(laid: Sequence[LaidScan], poses: Float[np.ndarray, "m 3"], resolution: float, frame: str) -> GridMap:
-    """The map of returns taken at `poses` (robot in `frame`)."""
+def render_returns(
+    laid: Sequence[LaidScan],
+    poses: Float[np.ndarray, "m 3"],
+    resolution: float,
+    frame: str,
+    glass: Float[np.ndarray, "g 2"] = NO_ENDS,
+) -> GridMap:
+    """The map of returns taken at `poses` (robot in `frame`). glass: returns of panes [m] in `frame`."""
     mapper = OccupancyMapper(resolution)
     mapper.update(laid, poses)
-    return mapper.grid(frame)
+    return mapper.grid(frame, glass)
 
 
 class OccupancyMapper:
@@ -128,11 +135,12 @@ class OccupancyMapper:
             self._lay(scans[k], self.laid[k], 1)
         return len(new)
 
-    def grid(self, frame: str = "map") -> GridMap:
+    def grid(self, frame: str = "map", glass: Float[np.ndarray, "g 2"] = NO_ENDS) -> GridMap:
         """The map so far, cut to what was seen.
 
-        Returns scatter with their range: where a wall was seen from nearer than `near`, far ones beside it do not
-        draw it again; a cell that they alone would make a wall is unknown.
+        Beams that went through cells in which returns of `glass` [m] lie say nothing of them. Returns scatter with
+        their range: where a wall was seen from nearer than `near`, far ones beside it do not draw it again; a cell that
+        they alone would make a wall is unknown.
         """
         h = self.resolution
         seen = self.hits + self.far + self.passes
@@ -149,6 +157,9 @@ class OccupancyMapper:
             hits = np.where(beside, hits, hits + far)
             passes[again] = 0
         low = self.corner + np.array([cols[0], rows[0]]) - EDGE
+        pane = np.floor(glass / h).astype(np.int64) - low
+        x, y = pane[((pane >= 0) & (pane < hits.T.shape)).all(axis=1)].T
+        passes[y, x] = np.where(hits[y, x] > 0, 0, passes[y, x])
         mean, feature, weight = np.zeros((*hits.shape, 2)), np.zeros(hits.shape), np.zeros(hits.shape)
         row, col = np.nonzero(hits)
         cell = np.column_stack([col, row]) + low

@@ -65,8 +65,8 @@ class RobotGraph:
 
     Returns of keyframe i are the rows start[i]:start[i + 1] (start: (n + 1,)) of points (m, 2) [m], normals (m, 2) and
     q (m,), in the keyframe's robot frame; q is None where light was not used. lined: (m,) where three or more beams
-    made the normal. sensor: (n, 2) where the scanner stood on the robot [m]. revisits: where the robot was in places
-    known well, between these keyframes.
+    made the normal; glass: (m,) those of panes, which only beams that meet them squarely show. sensor: (n, 2) where the
+    scanner stood on the robot [m]. revisits: where the robot was in places known well, between these keyframes.
     """
 
     robot: str
@@ -90,6 +90,7 @@ class RobotGraph:
     revisits: Revisits = field(default_factory=Revisits)
     border: tuple[str, ...] = ()
     unclear: tuple[int, ...] = ()
+    glass: Bool[np.ndarray, " m"] = field(default_factory=lambda: np.zeros(0, np.bool_))
 
     def __post_init__(self) -> None:
         for name in ("t", "pose", "cov", "path", "step", "step_information", "points", "normals", "sensor"):
@@ -100,6 +101,8 @@ class RobotGraph:
             object.__setattr__(self, "border", ("",) * len(self.t))
         object.__setattr__(self, "start", frozen(self.start, np.int64))
         object.__setattr__(self, "lined", frozen(self.lined, np.bool_))
+        glass = self.glass if len(self.glass) else np.zeros(len(self.points), np.bool_)
+        object.__setattr__(self, "glass", frozen(glass, np.bool_))
 
     def __len__(self) -> int:
         return len(self.t)
@@ -107,6 +110,11 @@ class RobotGraph:
     def rows(self, i: int) -> slice:
         """Where the returns of keyframe `i` stand."""
         return slice(int(self.start[i]), int(self.start[i + 1]))
+
+    def panes(self, pose: Float[np.ndarray, "n 3"] | None = None) -> Float[np.ndarray, "g 2"]:
+        """Where returns of glass lie [m], in the frame of the keyframes' own poses or of others."""
+        owner = np.repeat(np.arange(len(self)), np.diff(self.start))[self.glass]
+        return np.asarray(se2.act((self.pose if pose is None else pose)[owner], self.points[self.glass]))
 
     def stored(self) -> "RobotGraph":
         """The same graph with returns as exact as a file holds them, so that maps made from either are the same."""

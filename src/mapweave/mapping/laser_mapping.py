@@ -48,7 +48,7 @@ from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import ScanOdometry, blended
 from ..laser.sweep import sweep_of
 from .config import LaserConfig
-from .map_overlap import seen_through
+from .map_overlap import VIEWS, glass_returns, keyframe_map, seen_through
 from .segments import LONG, bridged, cuts_disputed, held_over, segment_findings, way_bent, way_loose
 from .session import LaserSession
 
@@ -177,7 +177,7 @@ def finish(
         method=cfg.method,
         feature=feature.name,
         track=track,
-        grid=render(seen, corrected, sensors, cfg.resolution, frame),
+        grid=render(seen, corrected, sensors, cfg.resolution, frame, *(() if graph is None else (graph.panes(),))),
         scans=records,
         odometry=log.odometry_from,
         dead_reckoning=dead,
@@ -342,6 +342,9 @@ def map_session(
     poses, graph = session.finalise(on_progress)
     finalised = perf_counter()
     clean = replace(log, scans=session.cleaned(log.scans))
+    views = None if graph is None or not len(graph) else keyframe_map(graph, asked=VIEWS)
+    if graph is not None and views is not None:
+        graph = replace(graph, glass=glass_returns(graph, views))
     result = finish(clean, session.cfg, feature, poses, session.infos, graph)
     track, dead = result.track, result.dead_reckoning
     if graph is not None and dead is not None and any(graph.border):
@@ -365,10 +368,11 @@ def map_session(
         measured = (*measured, *wheels_unlike(track, dead, robot))
     moving_returns = {"return of something that moves": session.moving.count} if session.moving.count else {}
     left = {} if graph is None else left_graph(graph)
-    told_by_graph = (segment_findings, way_bent, way_loose, seen_through)
+    told_by_graph = (segment_findings, way_bent, way_loose)
     cuts = () if graph is None else tuple(found for tell in told_by_graph for found in tell(graph))
     if graph is not None and clean.scans[0].odometry is not None:
         cuts = (*cuts, *cuts_disputed(graph, disagreement))
+    cuts = (*cuts, *(() if views is None else seen_through(views)))
     result = replace(
         result,
         scan_hash=log.scan_hash(),

@@ -1,6 +1,6 @@
 """How far two maps overlap under a transform, and whether one robot saw through what the other saw as walls."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -16,7 +16,7 @@ from ..core.findings import Finding
 from ..core.records import frozen
 from ..core.rows import spread
 from ..kernels.laser.place_refine import fit_normals
-from ..kernels.mapping.views import judge_walls
+from ..kernels.mapping.views import Looks, judge_walls
 from ..laser.robot_graph import RobotGraph
 from ..laser.submaps import gathered
 from .submaps import PlaceSubmap, extent, make_submap, middles, way_of
@@ -42,6 +42,12 @@ WALLS_MEET = 0.2  # [m] within which walls overlap
 LIT_LEAST = 150  # points of walls that meet, at least, whose brightness is compared,
 LIT_UNEVEN = 0.05  # and the standard deviation of their brightness, at least
 FEW = 10  # walls within reach of a view that says nothing of them
+SQUARELY = np.array([0.75, 0.9, 0.96])  # cosines of incidence from one of which on glass is seen,
+DEEP = 1.0  # [m] by which views go on behind it: people who walk along a wall have it nearer behind them
+PANE = 0.6  # [m] wide it is at least
+LEAST_GLASS = 8  # of the points of walls, from which on it is told
+GLASS_SEEN, GLASS_GONE = 2, 3  # by so many views at least, while so many go through it at more of a slant
+LOOKS = Looks(VIEW_REACH, SAME_WALL, SAME_WALL_SHARE, VIEW_THROUGH, DEEP, SIDED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +58,7 @@ class KeyframeMap:
     driven up to each; walls: (w, 2) [m] points in the map's frame, thinned, but for those that the robot itself saw
     through later or before: people who walked by, doors that moved; walls_q: (w,) their brightness;
     walls_side: (w, 2) unit normals on the side they were seen from, zero where that was both or they make no line;
+    glass: (g, 2) [m] of the walls those that only views which look at them squarely show, and are no `walls`;
     views: (n, bins) [m] of each keyframe the nearest return in each direction, infinite where there is none; asked: how
     many of them, at most, tell what was seen through; border: of each keyframe why a new segment begins there (none:
     nowhere one does); submaps: what it is recognised by, none over a border; through: share of its walls that make
@@ -70,6 +77,7 @@ class KeyframeMap:
     walls: Float[np.ndarray, "w 2"] = field(init=False, repr=False)
     walls_q: Float[np.ndarray, " w"] | None = field(init=False, repr=False)
     walls_side: Float[np.ndarray, "w 2"] = field(init=False, repr=False)
+    glass: Float[np.ndarray, "g 2"] = field(init=False, repr=False)
     views: Float[np.ndarray, "n bins"] = field(init=False, repr=False)
     through: float = field(init=False)
     own: float = field(init=False)
@@ -83,17 +91,23 @@ class KeyframeMap:
         cloud, q = self.cloud(COARSE_POINTS, self.q)
         object.__setattr__(self, "walls", frozen(cloud))
         object.__setattr__(self, "walls_q", None if q is None else frozen(q))
-        object.__setattr__(self, "walls_side", frozen(self._sides()))
+        lines = fit_normals(self.walls, WALL_LINE)
+        object.__setattr__(self, "walls_side", frozen(self._sides(lines)))
         object.__setattr__(self, "views", frozen(self._views()))
         object.__setattr__(self, "submaps", tuple(self._submaps()))
-        same, through = _judged(self, self.walls, self.walls_side)
-        seen, both = np.maximum(same, through) >= OFTEN, np.minimum(same, through) >= OFTEN
         lined = (self.walls_side != 0.0).any(axis=1)  # legs of tables and chairs are not
-        wide = _patched(self.walls[both & lined])
+        normals = np.where(lined[:, None], self.walls_side, lines[:, :2])
+        seen_by, through_by, deep_by = _judged(self, self.walls, normals, lined)
+        glass = (lines[:, 2] < WALL_THICK) & _as_glass(seen_by, deep_by)
+        glass[glass] = _patched(self.walls[glass], PANE)
+        same, through = seen_by.sum(axis=1), through_by.sum(axis=1)
+        seen, both = np.maximum(same, through) >= OFTEN, np.minimum(same, through) >= OFTEN
+        wide = _patched(self.walls[both & lined & ~glass], PATCH)
         object.__setattr__(self, "through", int(wide.sum()) / max(int((seen & lined).sum()), 1))
-        lasting = same >= through
-        judged = same + through >= TWICE
+        lasting = (same >= through) & ~glass
+        judged = (same + through >= TWICE) & ~glass
         object.__setattr__(self, "own", int((judged & ~lasting).sum()) / max(int(judged.sum()), 1))
+        object.__setattr__(self, "glass", frozen(self.walls[glass]))
         for name in ("walls", "walls_side", "walls_q"):
             if (values := getattr(self, name)) is not None:
                 object.__setattr__(self, name, frozen(values[lasting]))
@@ -117,11 +131,10 @@ class KeyframeMap:
                 out += [] if new is None else [new]
         return out
 
-    def _sides(self) -> Float[np.ndarray, "w 2"]:
+    def _sides(self, lines: Float[np.ndarray, "w 3"]) -> Float[np.ndarray, "w 2"]:
         home = [-p / np.maximum(np.hypot(*p.T), 1e-9)[:, None] for p in self.points]
         back = [u @ se2.rotation(float(pose[2])).T for u, pose in zip(home, self.pose, strict=True)]
         seen = [self.cloud(COARSE_POINTS, [u[:, k] for u in back])[1] for k in range(2)]
-        lines = fit_normals(frozen(self.walls), WALL_LINE)
         facing = sum(lines[:, k] * np.asarray(seen[k]) for k in range(2))
         sided = (np.abs(facing) > SIDED) & (lines[:, 2] < WALL_THICK)
         return np.asarray(lines[:, :2] * (np.sign(facing) * sided)[:, None])
@@ -142,10 +155,21 @@ def keyframe_map(graph: RobotGraph, keep: Int[np.ndarray, " k"] | None = None, a
     return KeyframeMap(graph.robot, graph.pose[keep], [graph.points[r] for r in rows], q, asked, border)
 
 
-def seen_through(graph: RobotGraph) -> tuple[Finding, ...]:
+def seen_through(seen: KeyframeMap) -> Iterator[Finding]:
     """Whether a robot saw through more of its own walls than people, who stand nowhere for long, and doors explain."""
-    share = keyframe_map(graph, asked=VIEWS).through if len(graph) else 0.0
-    return (Finding("walls-seen-through", graph.robot, None, 100.0 * share),) if share > SEEN_THROUGH else ()
+    if seen.through > SEEN_THROUGH:
+        yield Finding("walls-seen-through", seen.robot, None, 100.0 * seen.through)
+    if len(seen.glass) >= LEAST_GLASS:
+        yield Finding("glass-seen", seen.robot, None, COARSE_POINTS * len(seen.glass))
+
+
+def glass_returns(graph: RobotGraph, seen: KeyframeMap) -> Bool[np.ndarray, " m"]:
+    """Which returns of the keyframes are of glass that `seen`, made of them all, knows."""
+    if not len(seen.glass):
+        return np.zeros(len(graph.points), dtype=bool)
+    owner = np.repeat(np.arange(len(graph)), np.diff(graph.start))
+    far, _ = cKDTree(seen.glass).query(se2.act(graph.pose[owner], graph.points), distance_upper_bound=COARSE_POINTS)
+    return np.isfinite(far)
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,30 +206,42 @@ def seen_alike(a: KeyframeMap, b: KeyframeMap, transform: Float[np.ndarray, "3"]
 def _views_of_walls(a: KeyframeMap, b: KeyframeMap, transform: np.ndarray) -> SeenAlike:
     """Walls of b in the views of a."""
     walls = se2.act(transform, b.walls)
-    same, through = _judged(a, walls, b.walls_side @ se2.rotation(float(transform[2])).T)
+    sided = (b.walls_side != 0.0).any(axis=1)
+    seen, gone, _ = _judged(a, walls, b.walls_side @ se2.rotation(float(transform[2])).T, sided)
+    same, through = seen.sum(axis=1), gone.sum(axis=1)
     judged = same + through > 0
     unlike = walls[judged & (same < through)]
     away = unlike[np.asarray(cKDTree(a.walls).query(unlike)[0]) > CLOSE] if len(unlike) else unlike
     alike = int(judged.sum()) - len(unlike)
-    clear, walled = (alike / max(alike + count, 1) for count in (len(away), int(_patched(away).sum())))
+    clear, walled = (alike / max(alike + count, 1) for count in (len(away), int(_patched(away, PATCH).sum())))
     return SeenAlike(alike, len(unlike), clear, walled)
 
 
 def _judged(
-    a: KeyframeMap, walls: Float[np.ndarray, "w 2"], side: Float[np.ndarray, "w 2"]
-) -> tuple[Int[np.ndarray, " w"], Int[np.ndarray, " w"]]:
-    """How many views of a see each of these walls, and how many see through it, in the frame of a.
+    a: KeyframeMap, walls: Float[np.ndarray, "w 2"], normals: Float[np.ndarray, "w 2"], sided: Bool[np.ndarray, " w"]
+) -> tuple[Int[np.ndarray, "w b"], Int[np.ndarray, "w b"], Int[np.ndarray, "w b"]]:
+    """How many views of a see each of these walls, see through it, and far, in the frame of a, by how squarely.
 
     A view is the nearest return in each direction; what is behind it is unknown. A wall that was seen from one side
     and in the view from the other says nothing.
     """
     if not len(walls):
-        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+        nothing = np.zeros((0, len(SQUARELY) + 1), dtype=np.int64)
+        return nothing, nothing, nothing
     around = np.asarray(cKDTree(walls).query_ball_point(a.pose[:, :2], VIEW_REACH, return_length=True))
     near = np.flatnonzero(around > FEW)
     near = near[spread(len(near), a.asked)]
-    args = VIEW_REACH, SAME_WALL, SAME_WALL_SHARE, VIEW_THROUGH, SIDED
-    return judge_walls(a.pose[near], a.views[near], frozen(walls), frozen(side), *args)
+    return judge_walls(a.pose[near], a.views[near], frozen(walls), frozen(normals), sided, LOOKS, SQUARELY)
+
+
+def _as_glass(seen: Int[np.ndarray, "w b"], gone: Int[np.ndarray, "w b"]) -> Bool[np.ndarray, " w"]:
+    """Which walls views see that look at them squarely, and others see through."""
+    glass = np.zeros(len(seen), dtype=bool)
+    for least in range(1, seen.shape[1]):
+        square, slant = seen[:, least:].sum(axis=1), seen[:, :least].sum(axis=1)
+        passed, slipped = gone[:, least:].sum(axis=1), gone[:, :least].sum(axis=1)
+        glass |= (square >= np.maximum(GLASS_SEEN, 2 * passed)) & (slipped >= np.maximum(GLASS_GONE, 2 * slant + 1))
+    return glass
 
 
 def lit_alike(a: KeyframeMap, b: KeyframeMap, transform: Float[np.ndarray, "3"]) -> float | None:
@@ -230,8 +266,8 @@ def wall_overlap(walls: Float[np.ndarray, "m 2"], b: KeyframeMap, transform: Flo
     return float(max(np.mean(to_walls < WALLS_MEET), np.mean(to_other < WALLS_MEET)))
 
 
-def _patched(points: Float[np.ndarray, "p 2"]) -> Bool[np.ndarray, " p"]:
-    """Which of the points stand in a patch as wide as a wall that was drawn twice."""
+def _patched(points: Float[np.ndarray, "p 2"], wide: float) -> Bool[np.ndarray, " p"]:
+    """Which of the points stand in a patch so wide [m] at least."""
     if not len(points):
         return np.zeros(0, dtype=bool)
     near = cKDTree(points).query_pairs(BESIDE, output_type="ndarray")
@@ -240,7 +276,7 @@ def _patched(points: Float[np.ndarray, "p 2"]) -> Bool[np.ndarray, " p"]:
     low, high = np.full((patches, 2), np.inf), np.full((patches, 2), -np.inf)
     np.minimum.at(low, of, points)
     np.maximum.at(high, of, points)
-    return np.asarray(np.hypot(*(high - low).T) >= PATCH)[of]
+    return np.asarray(np.hypot(*(high - low).T) >= wide)[of]
 
 
 def _bins(keyframes: Sequence[Float[np.ndarray, "_ 2"]]) -> int:

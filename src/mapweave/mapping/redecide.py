@@ -125,5 +125,5 @@ def _remade(
         graph=replace(graph, pose=pose, cov=cov, closures=closures),
         track=track,
         scans=replace(local_map.scans, pose=track.pose[rows]),
-        grid=render_returns(laid, pose, cfg.resolution, local_map.grid.frame),
+        grid=render_returns(laid, pose, cfg.resolution, local_map.grid.frame, graph.panes(pose)),
     )

@@ -240,7 +240,8 @@ def joint_grid(
 ) -> GridMap:
     """All keyframes of all robots laid on one grid."""
     laid = [scan for g in graphs for scan in keyframe_returns(g, lit=lit)]
-    return render_returns(laid, np.concatenate(poses), resolution, FRAME)
+    glass = np.concatenate([g.panes(pose) for g, pose in zip(graphs, poses, strict=True)])
+    return render_returns(laid, np.concatenate(poses), resolution, FRAME, glass)
 
 
 def _rows(

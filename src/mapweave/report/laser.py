@@ -26,10 +26,12 @@ from .laser_figures import (
 )
 from .scene import Scene
 from .score import add_growth
+from .style import colour
 from .woven import not_in_first, robot_colour, write_maps, write_pairs
 
 MOST_NAMED = 4  # logs in the title
 MOST_PARTS = 8  # robots that have a part of their own on the page of a team
+PANE = 0.1  # [m] between the points of glass that are drawn
 ROBOTS_HEAD = (
     *("robot", "log", "scans", "driven [m]", "matches refused", "left out", "warnings"),
     *("odometry corrected by [m]", "median sd [m]"),
@@ -228,7 +230,11 @@ def robot_scene(
     others = {} if local_map.dead_reckoning is None else {"odometry alone": local_map.dead_reckoning}
     others |= {} if truth is None else {"truth": aligned(truth, local_map.track)}
     tracks, colours = {local_map.robot: local_map.track}, {local_map.robot: robot_colour(k)}
-    return laser_scene(local_map.grid, tracks, colours, closures, others, findings or local_map.findings)
+    scene = laser_scene(local_map.grid, tracks, colours, closures, others, findings or local_map.findings)
+    if local_map.graph is not None:
+        at = PANE * np.unique(np.round(local_map.graph.panes() / PANE), axis=0)
+        scene.points("glass", ["glass"] * len(at), at, colour(0), named=False)
+    return scene
 
 
 def _headline(local_map: LaserMap) -> list[tuple[str, str]]:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
-from ..core.findings import Finding
+from ..core.findings import Finding, verdict
 from ..core.names import robot_name
 from ..core.records import Track
 from ..laser.laser_map import GridMap, IntensityCalibration, LaserMap
@@ -227,10 +227,13 @@ def laser_scene(
 ) -> Scene:
     """Walls and paths, in one frame. tracks: robot -> its path; colours: robot -> colour; others: layer -> more.
 
-    Places believed and other trajectories are hidden at first: they cover the map. edited: for a page that decides on
-    places: none is hidden, each is called by its number in `closures`.
+    Places believed and other trajectories are hidden at first, as they cover the map, and places that are doubtful
+    where the verdict is good. edited: for a page that decides on places: none is hidden, each is called by its number
+    in `closures`.
     """
-    hidden = [*([] if edited else [PLACES_BELIEVED]), *(others or {})]
+    findings = tuple(findings)
+    places = [] if edited else [PLACES_BELIEVED, *([PLACES_DOUBTFUL] if verdict(findings) == "good" else [])]
+    hidden = [*places, *(others or {})]
     scene = Scene("Laser map with the trajectories of its robots", hidden, (PLACES_DOUBTFUL, PLACES_REFUSED))
     walls(scene, grid)
     for layer, shade in ((PLACES_BELIEVED, BELIEVED), (PLACES_DOUBTFUL, DOUBTFUL), (PLACES_REFUSED, REFUSED)):

@@ -151,9 +151,19 @@ Stretch = tuple[float, float, float, float]  # from, to [m] along a wall; reflec
 
 @dataclass(frozen=True, slots=True)
 class LaserWorld(Walls):
-    """Walls with a name, for a laser to look at."""
+    """Walls with a name, for a laser to look at.
+
+    shown: (s,) cosine of incidence from which on a wall returns light, which passes it at more of a slant: of glass;
+    None where all are opaque.
+    """
 
     name: str = "world"
+    shown: Float[np.ndarray, " s"] | None = None
+
+    def __post_init__(self) -> None:
+        Walls.__post_init__(self)
+        if self.shown is not None:
+            object.__setattr__(self, "shown", frozen(self.shown))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -170,12 +180,15 @@ class WorldBuilder:
 
     def __init__(self, name: str, style: WallStyle, rng: np.random.Generator) -> None:
         self.name, self.style, self.rng = name, style, rng
+        self.shown = 0.0  # of the walls put up next, see `LaserWorld`
         self._segments: list[tuple[float, float, float, float]] = []
         self._reflectance: list[float] = []
+        self._shown: list[float] = []
 
     def segment(self, a: np.ndarray, b: np.ndarray, reflectance: float) -> None:
         self._segments.append((float(a[0]), float(a[1]), float(b[0]), float(b[1])))
         self._reflectance.append(reflectance)
+        self._shown.append(self.shown)
 
     def wall(self, a: tuple[float, float], b: tuple[float, float], *, recess: float = 0.0) -> None:
         """A wall from a to b, free space on its left, with objects; doors stand back by `recess` [m]."""
@@ -203,7 +216,8 @@ class WorldBuilder:
             self.segment(np.array(a), np.array(b), reflectance)
 
     def world(self) -> LaserWorld:
-        return LaserWorld(np.array(self._segments), np.array(self._reflectance), name=self.name)
+        shown = np.array(self._shown) if any(self._shown) else None
+        return LaserWorld(np.array(self._segments), np.array(self._reflectance), name=self.name, shown=shown)
 
     def _objects(self, length: float, recess: float) -> list[Stretch]:
         style, rng = self.style, self.rng
@@ -471,13 +485,14 @@ def _cast(
 ) -> tuple[Float[np.ndarray, "m n"], Int[np.ndarray, "m n"], Float[np.ndarray, "m n"]]:
     """What `cast` gives of the scans at rows `at` of `truth`; where they take their time each beam is on its own."""
     angles, far = cfg.scanner.angles(), cfg.scanner.far + 0.3
+    walls = world.segments if world.shown is None else frozen(np.column_stack([world.segments, world.shown]))
     if cfg.sweep == 0.0:
-        return cast(se2.compose(truth.pose[at], T_robot_sensor), angles, world.segments, discs, far)
+        return cast(se2.compose(truth.pose[at], T_robot_sensor), angles, walls, discs, far)
     n = len(angles)
     beam_t = truth.t[at][:, None] + cfg.sweep * (np.arange(n) / (n - 1) - 0.5)
     sensor = se2.compose(se2.interpolate(beam_t.ravel(), truth.t, truth.pose), T_robot_sensor)
     sensor[:, 2] += np.tile(angles, len(at))
-    alone = cast(sensor, np.zeros(1), world.segments, np.repeat(discs, n, axis=0), far)
+    alone = cast(sensor, np.zeros(1), walls, np.repeat(discs, n, axis=0), far)
     true_range, what, cosine = (part.reshape(len(at), n) for part in alone)
     return true_range, what, cosine
 

@@ -40,6 +40,7 @@ FLOOR_SLIT = 0.25  # a pocket's door, when it has one: too narrow for a robot, w
 FLOOR_APART = 1.5  # between the robots' starts, along a corridor
 CONCRETE = 0.35  # reflectance of a tunnel's walls
 MARK_GAP, MARK_WIDTH = (1.0, 4.0), (0.1, 0.4)  # [m] between marks on one side, and of one, from, to
+GLASS_SHOWN = 0.95  # cosine of incidence from which on a pane returns light
 MARK = (0.85, 1.0)  # reflectance of a mark, from, to
 
 
@@ -138,12 +139,14 @@ class OfficeConfig:
     room_depth: float = 4.5  # [m] away from it
     corridor: float = 2.2  # [m]
     visited: int = 5  # rooms driven into, at most all
+    glazed: float = 0.0  # share of the rooms whose wall to the corridor is glass
     drive: DriveConfig = field(default_factory=lambda: DriveConfig(drift=DriftConfig(end_error=(2.0, 4.0))))
 
 
 def office_world(cfg: OfficeConfig, seed: int) -> LaserWorld:
     """The walls; the corridor runs along x with its middle on y = 0, the first room begins at x = 0."""
     rng = stream(seed, "walls")
+    panes = stream(seed, "glass").random((2, cfg.rooms)) < cfg.glazed
     build = WorldBuilder("office", OFFICE_STYLE, rng)
     half, length, far = 0.5 * cfg.corridor, cfg.rooms * cfg.room_width, 0.5 * cfg.corridor + cfg.room_depth
     build.wall((0.0, half), (0.0, -half))
@@ -152,9 +155,11 @@ def office_world(cfg: OfficeConfig, seed: int) -> LaserWorld:
         for k in range(cfg.rooms):
             x0, x1 = k * cfg.room_width, (k + 1) * cfg.room_width
             door = 0.5 * (x0 + x1)
+            build.shown = GLASS_SHOWN if panes[int(side > 0.0), k] else 0.0
             for a, b in ((x0, door - 0.5 * DOORWAY), (door + 0.5 * DOORWAY, x1)):
                 for y in (half, half + 0.1):
                     build.wall((a, side * y), (b, side * y))
+            build.shown = 0.0
             for jamb in (door - 0.5 * DOORWAY, door + 0.5 * DOORWAY):
                 build.plain((jamb, side * half), (jamb, side * (half + 0.1)), 0.4)
             build.wall((x0, side * (half + 0.1)), (x0, side * far))

@@ -13,11 +13,13 @@ def cast(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """First hit of every beam of every scan.
 
-    sensor: (m, 3) poses; angles: (n,) [rad]; segments: (s, 4) as x0 y0 x1 y1; discs: (m, d, 3) as x y radius, one set
-    a scan. Returns range (m, n) [m] (infinite beyond `far`), what was hit (m, n) (segment k, or s + disc, or -1), and
-    the cosine of incidence (m, n) in [0, 1].
+    sensor: (m, 3) poses; angles: (n,) [rad]; segments: (s, 4) as x0 y0 x1 y1, or (s, 5) with the cosine of incidence
+    from which on each stops a beam, as glass does; discs: (m, d, 3) as x y radius, one set a scan. Returns range (m, n)
+    [m] (infinite beyond `far`), what was hit (m, n) (segment k, or s + disc, or -1), and the cosine of incidence (m, n)
+    in [0, 1].
     """
     m, n, s, d = sensor.shape[0], angles.shape[0], segments.shape[0], discs.shape[1]
+    glass = segments.shape[1] > 4
     rng = np.full((m, n), np.inf)
     what = np.full((m, n), NONE, dtype=np.int64)
     cosine = np.zeros((m, n))
@@ -31,7 +33,7 @@ def cast(
             for k in range(count):
                 a = near[k]
                 r, slant = meet(px, py, ux, uy, segments, a)
-                if r < best:
+                if r < best and not (glass and slant < segments[a, 4]):
                     best, hit, across = r, a, slant
             for k in range(d):
                 r, slant = meet_disc(px, py, ux, uy, discs[i, k])
