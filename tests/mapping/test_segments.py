@@ -22,6 +22,7 @@ from mapweave.mapping.segments import (
     LOOSE,
     REFUSED,
     SLIP,
+    SPRANG,
     Borders,
     border_covariance,
     bridged,
@@ -72,6 +73,27 @@ def test_a_step_is_sure_unless_matches_and_wheels_leave_it_open(told, why):
 def test_without_wheels_no_match_contradicts_them():
     assert after(info((2.0, 0.0, 0.0), share=0.4), wheels=False) == ""
     assert after(info(decision="odometry"), wheels=False) == REFUSED
+
+
+def alone(moves, apart=0.2):
+    """At which of the steps [m] along x, told by scans alone, the robot sprang."""
+    borders = Borders()
+    borders.seen(0.0, info(decision="first"), np.zeros(3), wheels=False)
+    steps = [borders.seen(apart * (k + 1), info(), np.array([x, 0.0, 0.0]), wheels=False) for k, x in enumerate(moves)]
+    assert set(steps) <= {"", SPRANG}
+    return [k for k, why in enumerate(steps) if why]
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.1, 0.25])
+def test_scans_alone_that_tell_another_speed_at_once_slipped(speed):
+    assert alone([*[speed] * 10, speed + 1.0, *[speed] * 10]) == [10]
+    assert alone([*[speed] * 10, speed - 1.0, *[speed] * 10]) == [10]
+    assert alone([*[speed] * 10, *[speed + 1.0] * 10]) == [10]  # and a robot that goes on so is not cut again
+
+
+def test_robots_come_to_a_speed_and_stand_from_scan_to_scan():
+    assert alone([0.0, 0.2, 0.4, 0.6, 0.8, 0.8, 0.5, 0.2, 0.0]) == []
+    assert alone([0.0, 1.0, 2.0, 1.0, 0.0], apart=0.5) == []
 
 
 def test_after_a_pause_a_robot_that_moved_may_be_anywhere():

@@ -33,6 +33,8 @@ BLUR_SHARE = 0.2  # [rad/rad] of what was turned between that is added
 MOVING_ASTRAY = 0.006  # [rad] mean error of headings before matching from which on nothing is left out
 MOVING_FORGET = 0.97  # of that mean, a scan
 MOST_SHARE = 0.3  # of a scan's returns that may move: when more seem to, it is the robot's pose that is off
+SUDDEN = 0.1  # of them that seem to move all at once, twice what seemed to lately aside: another scene, no glass
+SHARE_LEARNED = 0.2  # of what seems to move in a scan, in what did lately
 THING = Thing(
     MOVING_JUMP,
     JUMP_SHARE,
@@ -81,6 +83,7 @@ class MovingReturns:
         self._latest = b""
         self._expected = np.zeros(3)  # of the robot, when the latest scan came
         self._astray = 0.0  # [rad] mean error of such headings
+        self._share = 0.0  # of returns, that seemed to move lately if nothing were glass
 
     def cleaned(self, t: float, scan: Scan, pose: Float[np.ndarray, "3"]) -> Scan:
         """The scan without returns of things that move. pose: of the robot, as far as it is known before matching."""
@@ -102,7 +105,7 @@ class MovingReturns:
         if not asked or scan.angle_increment == 0.0 or self._astray > MOVING_ASTRAY:
             return scan
         poses = np.array([se2.between(one.pose, sensor) for one in asked])
-        moves = moving_returns(
+        moves, opaque = moving_returns(
             BeamRanges(
                 frozen(scan.ranges),
                 hit,
@@ -118,6 +121,10 @@ class MovingReturns:
             MOVING_BLUR + BLUR_SHARE * np.abs(poses[:, 2]),
             THING,
         )
+        share = float(opaque.sum()) / max(1, int(scan.hit.sum()))
+        if share > SUDDEN + 2.0 * self._share:
+            moves = opaque
+        self._share += SHARE_LEARNED * (share - self._share)
         moving = int(moves.sum())
         if not 0 < moving <= MOST_SHARE * int(scan.hit.sum()):
             return scan

@@ -24,6 +24,7 @@ OFF_XY = 0.25  # [m] and
 OFF_TURN = 0.2  # [rad] from where wheels put a match of few returns, at most
 JUMP_XY = 1.0  # [m] and
 JUMP_TURN = 1.0  # [rad] from where wheels put it, whatever matches
+SPRING, FORCED = 0.3, 5.0  # [m] and [m/s2] beyond which scans alone tell of another speed at once
 WEAK_XY = 1.0  # [m] and
 WEAK_TURN = 0.5  # [rad] sd of a step over a border
 
@@ -35,12 +36,13 @@ USUAL = 0.98  # of the steps between two scans are at most so long, and a robot 
 DRIVEN = 0.15  # of a step over a gap that wheels may err by
 WIDE = 0.5  # of a step over a border that it may err by, where that is more than the settings say,
 ANY_TURN = 1.0  # [rad] and sd of its turn at most: of more a robot that faces the other way would be none to wonder at
-SLIP, REFUSED, JUMP, GAP = "slip", "refused", "jump", "gap"  # why a step is not sure,
+SLIP, REFUSED, JUMP, SPRANG, GAP = "slip", "refused", "jump", "sprang", "gap"  # why a step is not sure,
 CONTRADICTED = "contradicted"  # or turned out to be wrong
 WHY = {
     SLIP: "few returns match, and elsewhere than the wheels say",
     REFUSED: "too few returns match",
     JUMP: "scans and wheels tell motions far apart",
+    SPRANG: "scans alone tell a motion that no robot makes from one scan to the next",
     CONTRADICTED: "places before and after it contradict what its scans tell",
 }
 MANY, PATCHY = 20, 0.02  # keyframes, and cuts among them from which on a trajectory is a patchwork
@@ -72,6 +74,7 @@ class Borders:
         self._speed: list[np.ndarray] = []
         self._leapt = False
         self._steps: list[np.ndarray] = []
+        self._velocity = np.zeros((2, 2))  # [m/s] on the robot, over the last step and the last that was sure
 
     def leapt(self, t: float, wheels: Float[np.ndarray, "3"] | None) -> bool:
         """Whether the pose that wheels tell was set anew since the scan before, one at `t` [s] having come."""
@@ -106,7 +109,19 @@ class Borders:
             return REFUSED
         if pause and moved and not (wheels and self._went_on(info, size)):
             return GAP
-        return self._contradicted(info) if wheels else ""
+        if wheels:
+            return self._contradicted(info)
+        return SPRANG if self._sprang(step, apart) else ""
+
+    def _sprang(self, step: Float[np.ndarray, "3"], apart: float) -> bool:
+        """Whether a step `apart` [s] after the one before has a speed that no robot comes to in that time."""
+        dt = np.nanmax([apart, *([float(np.median(self._apart))] if self._apart else [])])
+        if not dt > 0.0:
+            return False
+        off = np.hypot(*(step[:2] - dt * self._velocity).T)
+        sprang = bool((off > max(SPRING, FORCED * dt**2)).all())
+        self._velocity[: 1 if sprang else 2] = step[:2] / dt
+        return sprang
 
     def _went_on(self, info: ScanInfo, size: Float[np.ndarray, "2"]) -> bool:
         """Whether a pause hid nothing: as little way as between any two scans, and the match is where wheels say."""

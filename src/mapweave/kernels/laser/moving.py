@@ -53,8 +53,8 @@ def moving_returns(
     poses: np.ndarray,
     blur: np.ndarray,
     thing: Thing,
-) -> np.ndarray:
-    """(n,) which returns of `scan` belong to something that moves.
+) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) which returns of `scan` belong to something that moves, and (n,) which would if nothing were glass.
 
     earlier_ranges, earlier_hit: (m, n) scans of the same sensor, earlier_faces (m, n, 4), poses: (m, 3) of the sensor
     now as each of them sees it, blur: (m,) [rad] by which its heading may be wrong.
@@ -67,11 +67,18 @@ def moving_returns(
     `widest` [m] wide, with nothing on either side nearer than `ahead` [m] behind it, moves as a whole when half of its
     returns did; in others runs of returns that moved do, no wider than that.
     """
+    if scan.step == 0.0:  # of a single beam: nothing is beside it
+        nothing = np.zeros(scan.ranges.shape[0], dtype=np.bool_)
+        return nothing, nothing
+    moved, opaque = _moved(scan, earlier_ranges, earlier_hit, earlier_faces, poses, blur, thing)
+    return _things(scan, moved, thing), _things(scan, opaque, thing)
+
+
+@kernel
+def _things(scan: BeamRanges, moved: np.ndarray, thing: Thing) -> np.ndarray:
+    """(n,) which returns are of things that move, of those that moved by themselves."""
     ranges, hit, step = scan.ranges, scan.hit, scan.step
     n = ranges.shape[0]
-    if step == 0.0:  # of a single beam: nothing is beside it
-        return np.zeros(n, dtype=np.bool_)
-    moved = _moved(scan, earlier_ranges, earlier_hit, earlier_faces, poses, blur, thing)
     out = np.zeros(n, dtype=np.bool_)
     i = 0
     while i < n:
@@ -99,8 +106,8 @@ def _moved(
     poses: np.ndarray,
     blur: np.ndarray,
     thing: Thing,
-) -> np.ndarray:
-    """(n,) which returns moved by themselves."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) which returns moved by themselves, and (n,) which would have if nothing were glass."""
     n, m = scan.ranges.shape[0], earlier_ranges.shape[0]
     votes, passed = np.zeros((n, m), np.int64), np.full((n, m), SURE, np.int64)
     opaque = np.zeros((m + 1, n), np.int64)  # beams that pass a face where a pane would have shown itself
@@ -117,7 +124,7 @@ def _moved(
                     passed[b, j] = at
                 elif face[2] > 0.0 and cosine >= face[2] + CLEARLY:
                     opaque[of, int(face[3])] += 1
-    moved = np.zeros(n, dtype=np.bool_)
+    moved, if_opaque = np.zeros((2, n), dtype=np.bool_)
     for b in range(n):
         total = 0
         for j in range(m):
@@ -126,7 +133,8 @@ def _moved(
             as_glass |= at >= 0 and opaque[j, int(earlier_faces[j, at, 3])] < REFUTED
             total += 0 if as_glass else votes[b, j]
         moved[b] = scan.hit[b] and total >= thing.votes
-    return moved
+        if_opaque[b] = scan.hit[b] and votes[b].sum() >= thing.votes
+    return moved, if_opaque
 
 
 @kernel
