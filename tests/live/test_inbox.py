@@ -1,7 +1,9 @@
 """Every message once and in order, whatever the network did to it."""
 
 import shutil
+from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -280,3 +282,20 @@ def test_a_gap_in_what_a_robot_told_is_told_in_the_result(store):
     _final(inbox, MapOptions(), told.append)
     (said,) = told
     assert said.startswith(f"r2: of {len(every)} messages 1 are missing")
+
+
+@pytest.mark.slow
+def test_a_robot_that_announces_wheels_and_tells_none_is_mapped_without(tmp_path):
+    plain = [replace(log, odometry=None) for log in team()]
+    results = []
+    for folder, announced in (("with", True), ("without", False)):
+        with Store(tmp_path / folder, OWNER) as kept:
+            inbox = Inbox(kept)
+            for k, log in enumerate(plain, 1):
+                first, *rest = messages(log, f"r{k}", f"run{k}")
+                first = msgspec.structs.replace(first, odometry=announced)
+                hear(inbox, map(encode, [first, *rest]), f"r{k}")
+            results.append(_final(inbox, MapOptions(), pytest.fail))
+    told, without = ([(m.robot, m.odometry, m.track.pose.tobytes()) for m in each.local] for each in results)
+    assert told == without
+    assert [row[:2] for row in told] == [("robot1", "none"), ("robot2", "none")]

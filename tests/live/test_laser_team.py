@@ -3,9 +3,12 @@
 from dataclasses import replace
 from functools import cache
 
+import msgspec
 import numpy as np
 import pytest
 
+from mapweave.api.map_laser import map_logs as map_lasers
+from mapweave.api.map_options import MapOptions
 from mapweave.api.simulate import simulate_laser
 from mapweave.api.slam import LaserSlam
 from mapweave.core.errors import UsageError
@@ -55,6 +58,17 @@ def test_a_laser_log_is_the_same_to_the_bit_once_told(period):
             )  # fmt: skip
         if log.odometry is not None:
             assert got.odometry.pose.tobytes() == log.odometry.pose.tobytes()
+
+
+def test_a_laser_robot_whose_scans_alone_tell_odometry_is_mapped():
+    first, *rest = [
+        msgspec.structs.replace(m, track=b"") if isinstance(m, Scans) else m for m in told(drive(distance=2.0))
+    ]
+    record = LaserRecord(first)
+    log = whole_log(first, [part for message in rest if (part := record.add(message)) is not None])
+    assert log.odometry is None
+    (part,) = map_lasers([log], MapOptions()).maps
+    assert part.track.t.tolist() == log.scan_t.tolist()
 
 
 def test_scans_that_contradict_what_was_announced_are_refused():

@@ -58,7 +58,7 @@ NOTHING_SEEN = SightingTable(np.zeros(0), np.zeros(0, np.int64), np.zeros(0), np
 
 @dataclass(frozen=True, slots=True)
 class LandmarkLog:
-    """What one robot drove and saw. robot: `robotK`; odometry: commanded velocities or None when there are none.
+    """What one robot drove and saw. robot: `robotK`; odometry: commanded velocities, None when there is no row.
 
     bearings: sightings that told no range, which is NaN there; filters leave them aside, smoothing takes them.
     dropped: rows left out, by reason; log_hash: SHA-256 of the whole log's content, kept by `share`, so that a part
@@ -83,6 +83,8 @@ class LandmarkLog:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "misread", frozen(self.misread))
+        if self.odometry is not None and not len(self.odometry.t):
+            object.__setattr__(self, "odometry", None)
         if not self.log_hash:
             tables = (self.sightings, self.bearings) if len(self.bearings) else (self.sightings,)
             object.__setattr__(self, "log_hash", _hash(self.odometry, *tables))
@@ -157,7 +159,7 @@ class LandmarkLog:
         o = self.odometry
         if o is not None:
             keep = at(o.t)
-            o = Odometry(o.t[keep], o.v[keep], o.w[keep]) if keep.any() else None
+            o = Odometry(o.t[keep], o.v[keep], o.w[keep])
         sightings, bearings = self.sightings.select(at(self.sightings.t)), self.bearings.select(at(self.bearings.t))
         fixes = None if self.fixes is None else self.fixes.select(at(self.fixes.t))
         misread = self.misread[at(self.misread)]

@@ -35,8 +35,8 @@ class LaserLog:
 
     scan_t: (m,) [s], ascending, one for each of `scans` (equal stamps only where the sensors differ).
     odometry: `T_odom_robot` along time in frame `odom`, stamps strictly ascending (of several rows of one stamp the
-    last in the file), or None. `odometry_from` says what it was made of: "poses", "tf", "ticks" or "none". Every scan
-    of a log with odometry carries its own `Scan.odometry`; those need not be repeated in `odometry`.
+    last in the file), None when there is no row. `odometry_from` says what it was made of: "poses", "tf", "ticks" or
+    "none". Every scan of a log with odometry carries its own `Scan.odometry`; those need not be repeated in `odometry`.
     Either all scans have intensities or none: a constant intensity tells nothing, so the reader leaves it out and
     says so in `findings`. unused: what was recorded beside and no reader took; fixes:
     where the robot was, as something outside it tells.
@@ -61,6 +61,8 @@ class LaserLog:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scan_t", frozen(self.scan_t))
+        if self.odometry is not None and not len(self.odometry.t):
+            object.__setattr__(self, "odometry", None)
 
     @property
     def warnings(self) -> tuple[str, ...]:
