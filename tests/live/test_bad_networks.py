@@ -115,7 +115,7 @@ def test_a_clock_five_seconds_ahead_is_measured_and_told(tmp_path, source):
 @pytest.mark.slow
 def test_a_robot_on_a_full_disk_drives_on_and_tells_nothing_it_could_lose(fleet):
     """A file may not grow beyond 60 kB here, which the disk of a robot does not either once it is full."""
-    fleet.prefix = {"r1": ["bash", "-c", 'ulimit -f 60; exec "$@"', "bash"]}
+    fleet.prefix = {"r1": ["bash", "-c", 'ulimit -f 60; PYTHONDONTWRITEBYTECODE=1 exec "$@"', "bash"]}
     fleet.robot("r1", rate="inf")
     fleet.hears("r1", "driving on, telling nothing until it can be kept")
     time.sleep(1.5)
