@@ -7,6 +7,7 @@ from itertools import permutations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import mapweave
 from mapweave.api.locate import parse_anchors, parse_distances
@@ -142,14 +143,18 @@ def test_robots_without_a_common_axis_are_noticed_and_located_with_their_heading
     assert np.abs(np.angle(np.exp(1j * error))).max() < np.deg2rad(3.0)
 
 
-def test_robots_in_space_without_common_axes_are_refused(tmp_path):
-    made = mapweave.simulate_swarm(scene=SwarmScene(robots=27, dim=3))
-    angle = np.random.default_rng(0).uniform(-np.pi, np.pi, 27)[made.table.observer]  # of each robot, about z
-    x, y, z = made.table.direction.T
-    c, s = np.cos(angle), np.sin(angle)
-    own = replace(made.table, direction=np.stack([c * x + s * y, c * y - s * x, z], axis=1))
-    with pytest.raises(DataError, match="in space robots need common axes"):
-        mapweave.locate(own, anchors={"1": made.position[0][0]})
+def test_robots_in_space_without_common_axes_are_located_and_turned(tmp_path):
+    made = mapweave.simulate_swarm(scene=SwarmScene(robots=27, dim=3, axis=False))
+    known = {made.table.ids[k]: made.position[0][k] for k in made.corners}
+    found = mapweave.locate(replace(made.table, axis=True), tmp_path / "out", anchors=known)
+    assert any("own axes are estimated" in w for w in found.warnings)
+    assert found.estimate.reliable
+    assert np.linalg.norm(found.estimate.position - made.position[0], axis=1).max() < 1.5
+    rows = list(csv.DictReader((tmp_path / "out" / "positions.csv").open()))
+    turns = np.array([[float(row[name]) for name in ("rx", "ry", "rz")] for row in rows])
+    off = Rotation.from_rotvec(turns) * Rotation.from_rotvec(made.heading[0]).inv()
+    assert np.degrees(off.magnitude()).max() < 5.0
+    assert all(0.0 < float(row["var_rx"]) < np.radians(3.0) ** 2 for row in rows)
 
 
 def test_a_network_in_which_nobody_is_held_says_so_and_still_draws_it(tmp_path):

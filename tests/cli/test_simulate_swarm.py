@@ -25,6 +25,11 @@ def test_sightings_and_truth_are_written_with_the_contracts_columns(tmp_path, ca
     ("words", "sightings", "truth"),
     [
         (["--dim", "3", "--robots", "27"], "observer,target,azimuth,elevation,sigma", "id,x,y,z"),
+        (
+            ["--dim", "3", "--no-axis", "--robots", "27"],
+            "observer,target,azimuth,elevation,sigma",
+            "id,x,y,z,rx,ry,rz",
+        ),
         (["--no-axis"], "observer,target,bearing,sigma", "id,x,y,heading"),
         (["--steps", "3"], "observer,target,bearing,sigma,t", "id,x,y,t"),
         (["--layout", "clusters", "--range", "15", "--single"], "observer,target,bearing,sigma", "id,x,y"),
@@ -59,7 +64,7 @@ def test_equal_seeds_give_equal_bytes(tmp_path):
         ["--dim", "4"],
         ["--missing", "2"],
         ["--layout", "ring"],
-        ["--dim", "3", "--no-axis"],
+        ["--dim", "3", "--drive"],
     ],
 )
 def test_bad_usage_ends_with_2_and_writes_nothing(tmp_path, words):

@@ -3,11 +3,23 @@
 import numpy as np
 import pytest
 
-from mapweave.swarm.factors import apart_factor, bearing_factor, distance_factor, heading_entries, prior_factor, width
+from mapweave.core.attitude import matrices
+from mapweave.sim.swarm import SwarmScene, simulate_swarm
+from mapweave.swarm.factors import (
+    apart_factor,
+    bearing_factor,
+    distance_factor,
+    parted,
+    prior_factor,
+    retract,
+    state,
+    width,
+)
 from mapweave.swarm.network import BearingNetwork, Distance
 from mapweave.swarm.start import mutual_pairs
 
 from ..differences import assert_derivative
+from .swarms import simulated
 
 RNG = np.random.default_rng(6)
 
@@ -86,6 +98,18 @@ def test_who_is_seen_and_sees_nobody_is_no_mutual_pair():
     assert not len(mutual_pairs(net)[0])
 
 
-@pytest.mark.parametrize(("axis", "angles"), [(False, [2, 5, 8, 11, 14]), (True, [])])
-def test_the_last_entry_of_each_robot_is_its_heading_where_it_has_one(axis, angles):
-    assert heading_entries(a_network(2, axis)[0]).tolist() == angles
+def test_a_step_turns_robots_about_the_common_axes_and_sightings_change_as_their_derivative_says():
+    net = simulated(3, robots=8, dim=3, axis=False, sigma=0.0)[0]
+    swarm = simulate_swarm(SwarmScene(robots=8, dim=3, axis=False, sigma=0.0), np.random.default_rng(3))
+    x = state(swarm.position[0], swarm.heading[0])
+    factor, step = bearing_factor(net), RNG.normal(size=len(x))
+    np.testing.assert_allclose(factor.residual(x), 0.0, atol=1e-9)
+    np.testing.assert_array_equal(state(*parted(net, x)), x)
+    turn = parted(net, step)[1]
+    np.testing.assert_allclose(
+        matrices(parted(net, retract(net, x, step))[1]), matrices(turn) @ matrices(swarm.heading[0])
+    )
+    h = 1e-6
+    change = (factor.residual(retract(net, x, h * step)) - factor.residual(retract(net, x, -h * step))) / (2 * h)
+    said = np.einsum("mkc,mc->mk", factor.jacobian(x), step[factor.columns])
+    np.testing.assert_allclose(change, said, atol=1e-6)

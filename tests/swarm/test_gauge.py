@@ -17,7 +17,7 @@ MEMBERS = np.array([True, True, False, True, True, True])
 
 
 def gauge(*, place=False, scale=False, turn=False, centre=(0.0, 0.0)):
-    return Gauge("something free", place, scale, turn, MEMBERS, np.array(centre))
+    return Gauge("something free", place, scale, np.eye(1)[:, : int(turn)], MEMBERS, np.array(centre))
 
 
 def distances(p):
@@ -54,7 +54,7 @@ def test_only_what_is_free_is_set(free):
     else:
         np.testing.assert_allclose(distances(p), distances(PLACES))
         np.testing.assert_allclose(np.hypot(*(p - centre).T), np.hypot(*(PLACES - centre).T))
-    p, h = normalise(Gauge("", False, False, False, MEMBERS, centre), PLACES, HEADINGS)
+    p, h = normalise(Gauge("", False, False, np.zeros((1, 0)), MEMBERS, centre), PLACES, HEADINGS)
     assert p is PLACES
     assert h is HEADINGS
 
@@ -66,7 +66,7 @@ def test_no_sighting_sees_the_motions_that_the_gauge_takes_away_and_pins_leave_n
     whole = gauge(place=place, scale=scale, centre=PLACES[2] if not place else (0.0, 0.0))
     G, C = gauge_basis(net, whole, PLACES)
     assert G.shape == C.shape == (6 * width(net), 2 * place + scale)
-    members = Gauge(whole.name, place, scale, False, np.ones(6, dtype=bool), whole.centre)
+    members = Gauge(whole.name, place, scale, np.zeros((1, 0)), np.ones(6, dtype=bool), whole.centre)
     G, C = gauge_basis(net, members, PLACES)
     factor, x, h = bearing_factor(net), PLACES.ravel(), 1e-6
     for g in G.T:
@@ -84,7 +84,7 @@ def test_no_sighting_sees_the_motions_that_the_gauge_takes_away_and_pins_leave_n
 
 def test_turning_the_whole_is_the_motion_that_sightings_in_own_axes_do_not_see():
     net = replace(complete(PLACES, 0.5, RNG), axis=False)
-    whole = Gauge("orientation free", True, True, True, np.ones(6, dtype=bool), np.zeros(2))
+    whole = Gauge("orientation free", True, True, np.eye(1), np.ones(6, dtype=bool), np.zeros(2))
     G, C = gauge_basis(net, whole, PLACES)
     assert G.shape == C.shape == (18, 4)
     factor, x, h = bearing_factor(net), np.column_stack([PLACES, HEADINGS]).ravel(), 1e-6

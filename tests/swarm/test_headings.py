@@ -110,10 +110,10 @@ def test_a_shape_is_turned_onto_its_anchors_whatever_its_place_and_size():
     for turn in (-2.5, 0.4, 3.0):
         shape = 2.5 * (places @ se2.rotation(-turn).T) + np.array([3.0, -8.0])
         everybody = np.ones(7, dtype=bool)
-        assert apart(anchored_turn(net, shape, everybody), turn) < 1e-9
+        np.testing.assert_allclose(anchored_turn(net, shape, everybody), se2.rotation(turn), atol=1e-9)
         moved = shape.copy()
         moved[3] += 5.0  # who is not chosen has no say
-        assert apart(anchored_turn(net, moved, np.arange(7) != 3), turn) < 1e-9
+        np.testing.assert_allclose(anchored_turn(net, moved, np.arange(7) != 3), se2.rotation(turn), atol=1e-9)
     seen = world_directions(net, headings)
     d = places[net.target] - places[net.observer]
     np.testing.assert_allclose(seen, d / np.linalg.norm(d, axis=1, keepdims=True), atol=1e-9)

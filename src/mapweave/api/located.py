@@ -107,11 +107,10 @@ def prepare(
     filled, sigma_source = _filled(table, sigma)
     table = BearingTable(table.ids, table.observer, table.target, table.direction, filled, table.t, axis is not False)
     if axis is None and not warnings and not shares_an_axis(table, filled):
-        if table.dim == 3:
-            raise DataError(f"{name}: mutual sightings do not point at each other; in space robots need common axes")
         table = BearingTable(table.ids, table.observer, table.target, table.direction, filled, table.t, axis=False)
+        what = "heading is" if table.dim == 2 else "own axes are"
         warnings.append(
-            "mutual sightings do not point at each other: no common axis, so every robot's heading is estimated"
+            f"mutual sightings do not point at each other: no common axis, so every robot's {what} estimated"
         )
     at = np.arange(1, len(table.observer) + 1) if lines is None else np.asarray(lines)
     again = copies(table, table.sigma)

@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ..core import se2
+from ..core.attitude import TURNS
 from ..core.errors import UsageError, expect_at_most
 from ..core.landmark_log import TeamRecording
 from ..core.paths import checked_arguments, path_of
@@ -339,7 +340,7 @@ def simulate_swarm(out: Path | str | None = None, scene: SwarmScene | None = Non
     ----------
     out
         The table to write, .csv or .parquet. Beside FILE.csv stand FILE.truth.csv (`id,x,y[,z]`, and `t`, `heading`
-        where they mean something) and, when the robots drive, FILE.odometry.csv (`t,robot,v,w`).
+        or in space `rx,ry,rz` where they mean something) and, when the robots drive, FILE.odometry.csv (`t,robot,v,w`).
     scene
         How many robots, how far they see, how they move, and the noise (`SwarmScene()`).
     seed
@@ -370,12 +371,12 @@ def _table(out: Path | str) -> Path:
 def _write_truth(path: Path, swarm: Swarm) -> None:
     moving = swarm.table.t is not None
     turned = not swarm.table.axis or swarm.odometry is not None
-    head = ["id", "x", "y", "z"][: 1 + swarm.table.dim] + ["t"] * moving + ["heading"] * turned
+    head = ["id", "x", "y", "z"][: 1 + swarm.table.dim] + ["t"] * moving + list(TURNS[swarm.table.dim]) * turned
     rows = []
     for k, t in enumerate(swarm.t.tolist()):
-        places, headings = swarm.position[k].tolist(), swarm.heading[k].tolist()
+        places, headings = swarm.position[k].tolist(), swarm.heading[k].reshape(len(swarm.heading[k]), -1).tolist()
         rows += [
-            (name, *place, *([t] if moving else []), *([heading] if turned else []))
+            (name, *place, *([t] if moving else []), *(heading if turned else []))
             for name, place, heading in zip(swarm.table.ids, places, headings, strict=True)
         ]
     write_table(path, head, rows)

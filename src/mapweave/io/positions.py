@@ -9,6 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Bool, Float, Int
 
+from ..core.attitude import TURNS, Headings
 from ..core.errors import ReaderError
 from ..swarm.moving.result import RobotTrajectory
 from ..swarm.result import JointInformation
@@ -47,17 +48,21 @@ def write_positions(
     localisable: Bool[np.ndarray, " n"],
     sightings: Int[np.ndarray, " n"],
     outliers: Int[np.ndarray, " n"],
-    heading: Float[np.ndarray, " n"] | None = None,
-    heading_var: Float[np.ndarray, " n"] | None = None,
+    heading: Headings | None = None,
+    heading_var: Headings | None = None,
 ) -> None:
-    """`id,x,y[,z],var_x,..,localisable,sightings,outliers[,heading,var_heading]`; what is not known stays empty."""
+    """`id,x,y[,z],var_x,..,localisable,sightings,outliers[,heading,var_heading]`; what is not known stays empty.
+
+    In space `rx,ry,rz,var_rx,var_ry,var_rz` of rotation vectors [rad].
+    """
     n, d = position.shape
     head = ["id", *"xyz"[:d], *NAMES[d], "localisable", "sightings", "outliers"]
     columns = [list(ids), *position.T.tolist(), *_covariance_columns(cov, n, d)]
     columns += [localisable.astype(int).tolist(), sightings.tolist(), outliers.tolist()]
     if heading is not None:
-        head += ["heading", "var_heading"]
-        columns += [heading.tolist(), (np.full(n, np.nan) if heading_var is None else heading_var).tolist()]
+        variance = np.full(heading.shape, np.nan) if heading_var is None else heading_var
+        head += [*TURNS[d], *(f"var_{name}" for name in TURNS[d])]
+        columns += np.column_stack([heading, variance]).T.tolist()
     write_table(path, head, zip(*columns, strict=True))
 
 

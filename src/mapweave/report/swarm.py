@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from ..core.gaussian import chi2_quantile
 from ..core.records import Track
 from ..evaluation.swarm import squared_errors
-from ..swarm import bearing as model
+from ..swarm.factors import bearing_factor, state
 from ..swarm.moving.result import SwarmTrack
 from ..swarm.network import BearingNetwork
 from ..swarm.result import SwarmEstimate
@@ -245,13 +245,8 @@ def write_moved_report(out: Path, story: MovedStory, lines: Sequence[str], metri
 def whitened(net: BearingNetwork, estimate: SwarmEstimate) -> Float[np.ndarray, " r"]:
     """Residuals over sigma of the sightings used, between robots that could be located."""
     use = ~estimate.outlier & estimate.localisable[net.observer] & estimate.localisable[net.target]
-    p, q = estimate.position[net.observer[use]], estimate.position[net.target[use]]
-    if net.dim == 3:
-        return np.asarray((model.sphere_residual(net.bearing[use], p, q) / net.sigma[use, None]).ravel())
-    z = net.bearing[use]
-    if estimate.heading is not None:
-        z = z + estimate.heading[net.observer[use]]
-    return np.asarray(model.angle_residual(np.asarray(z), p, q) / net.sigma[use])
+    x = state(estimate.position, estimate.heading)
+    return -bearing_factor(net.select(use)).whitened(x).ravel()
 
 
 def _cards(metrics: Mapping[str, Any], estimate: SwarmEstimate | None = None) -> list[tuple[str, str]]:

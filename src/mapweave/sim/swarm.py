@@ -6,7 +6,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
+from ..core.attitude import Headings, matrices
 from ..core.bearings import BearingTable
 from ..core.config import config
 from ..core.errors import UsageError, expect_at_most
@@ -31,7 +33,7 @@ class SwarmScene:
     missing: float = 0.0  # share of sightings lost
     outliers: float = 0.0  # share of sightings that point anywhere
     visibility: Literal["directed", "mutual", "single"] = "directed"
-    axis: bool = True  # whether there is a common one; without it every robot has a heading of its own
+    axis: bool = True  # whether there is a common one; without it every robot has axes of its own
     blockers: int = 0  # objects that move about and block the view
     steps: int = 1  # more than one: robots move, and every sighting has its stamp; those at the corners stand still
     interval: float = 1.0  # [s] between steps
@@ -42,14 +44,15 @@ class SwarmScene:
 
 @dataclass(frozen=True, slots=True)
 class Swarm:
-    """A simulated swarm. position: (T, n, d); heading: (T, n); t: (T,); odometry rows: (T, n, 2) v and w as measured.
+    """A simulated swarm. position: (T, n, d); t: (T,); odometry rows: (T, n, 2) v and w as measured.
 
+    heading: (T, n), in space without an axis (T, n, 3) rotation vectors that carry own axes into the common ones.
     `corners`: the robots nearest the corners of the field, which stand still when the others move.
     """
 
     table: BearingTable
     position: Float[np.ndarray, "T n d"]
-    heading: Float[np.ndarray, "T n"]
+    heading: Float[np.ndarray, "T n *t"]
     t: Float[np.ndarray, " T"]
     corners: tuple[int, ...]
     odometry: Float[np.ndarray, "T n 2"] | None = None
@@ -62,7 +65,10 @@ def simulate_swarm(scene: SwarmScene, rng: np.random.Generator) -> Swarm:
     corners = corner_robots(start)
     t = scene.interval * np.arange(scene.steps)
     heading = np.zeros((scene.steps, scene.robots))
-    heading[:] = 0.0 if scene.axis and not scene.drive else rng.uniform(-np.pi, np.pi, scene.robots)
+    heading[:] = 0.0 if (scene.axis or scene.dim == 3) and not scene.drive else rng.uniform(-np.pi, np.pi, scene.robots)
+    if scene.dim == 3 and not scene.axis:
+        turn = Rotation.from_quat(rng.standard_normal((scene.robots, 4))).as_rotvec()
+        heading = np.repeat(turn[None], scene.steps, axis=0)
     odometry = None
     if scene.drive:
         position, heading, odometry = _drive(start, heading[0], corners, scene, rng)
@@ -141,7 +147,7 @@ def pairs_seen(
 
 def observe(
     position: Float[np.ndarray, "n d"],
-    heading: Float[np.ndarray, " n"],
+    heading: Headings,
     pairs: Int[np.ndarray, "m 2"],
     scene: SwarmScene,
     rng: np.random.Generator,
@@ -164,8 +170,7 @@ def observe(
         u = np.where(wild[:, None], anywhere / np.linalg.norm(anywhere, axis=1, keepdims=True), u)
     if scene.axis:
         return np.asarray(u)
-    c, s = np.cos(heading[pairs[:, 0]]), np.sin(heading[pairs[:, 0]])
-    return np.column_stack([c * u[:, 0] + s * u[:, 1], -s * u[:, 0] + c * u[:, 1]])
+    return np.asarray(np.einsum("mji,mj->mi", matrices(heading)[pairs[:, 0]], u))
 
 
 def _drift(
@@ -255,8 +260,6 @@ def _check(scene: SwarmScene) -> None:
         raise UsageError("expected --k of 1 or more, --range above 0")
     if scene.steps < 1 or scene.interval <= 0.0:
         raise UsageError("expected --steps of 1 or more, --interval above 0")
-    if not scene.axis and scene.dim == 3:
-        raise UsageError("--no-axis: robots in space need common axes, without which nothing locates them")
     expect_at_most({"--robots": (scene.robots, MOST_ROBOTS), "--k": (scene.k, MOST_ROBOTS)})
     each = scene.k if scene.range is None else 1
     expect_at_most({"robots times steps times --k": (scene.robots * scene.steps * each, MOST_SIGHTINGS)})

@@ -72,6 +72,8 @@ def doubts(net: BearingNetwork, inlier: Bool[np.ndarray, " m"], estimate: SwarmE
     none = np.zeros(len(net))
     if estimate.cov is None or len(net.observer) > ALTERNATIVES_MOST or not np.any(net.sigma > 0):
         return none
+    if net.dim == 3 and not net.axis:  # turns in space add no more than nearby
+        return none
     held = _held(net, estimate)
     free = estimate.localisable & ~held.is_anchor
     if len(held.anchors) < 1 or not free.any():

@@ -38,17 +38,14 @@ def refine(
     Robots seldom sighted are kept from falling onto their neighbours, with `everyone` all robots are.
     """
     n, w, dim = len(net), factors.width(net), net.dim
-    x0 = np.zeros((n, w))
-    x0[:, :dim] = start.position
-    if start.heading is not None:
-        x0[:, dim] = start.heading
+    x0 = factors.state(start.position, start.heading).reshape(n, w).copy()
     fixed = gauge_pins(net, start.gauge, start.position)
     fixed[list(net.anchors), :dim] = True
     loose = np.repeat(~start.seen.localisable[:, None], w, axis=1)
-    if not net.axis:
-        deaf = np.ones(n, dtype=bool)
-        deaf[net.observer] = False
-        fixed[deaf, dim] = True
+    loose[~start.seen.oriented, dim:] = True
+    deaf = np.ones(n, dtype=bool)
+    deaf[net.observer] = False
+    fixed[deaf, dim:] = True
     loose &= ~fixed
     for k, p in net.anchors.items():
         x0[k, :dim] = p

@@ -71,6 +71,13 @@ def sphere_residual(b: Float[np.ndarray, "m 3"], p_i: np.ndarray, p_j: np.ndarra
     return np.asarray(np.einsum("mkc,mk->mc", tangent_basis(u), log_map(u, b)))
 
 
+def turn_jacobian(u: Float[np.ndarray, "m d"]) -> Float[np.ndarray, "m k t"]:
+    """Derivative of prediction less sighting by a turn of the observer about the common axes, the sighting near `u`."""
+    if u.shape[1] == 2:
+        return np.full((len(u), 1, 1), -1.0)
+    return np.cross(tangent_basis(u).swapaxes(1, 2), u[:, None, :])
+
+
 def sphere_jacobian(p_i: Float[np.ndarray, "m 3"], p_j: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 2 3"]:
     """Derivative [rad/m] of the predicted direction by `p_j` in its own tangent plane; by `p_i` the negative."""
     u, r = predict(p_i, p_j)

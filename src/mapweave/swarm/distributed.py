@@ -154,6 +154,8 @@ def distributed(net: BearingNetwork, cfg: SwarmConfig, initial: np.ndarray | Non
     two anchors at distinct places, or with known distances: a gauge or a length is nothing neighbours can agree on by
     themselves.
     """
+    if not net.axis and net.dim == 3:
+        raise DataError("in space the distributed method needs common axes: use the batch method")
     if net.distances or len({tuple(p) for p in net.anchors.values()}) < 2:
         raise DataError("the distributed method needs two anchors, and takes no known distances")
     everyone, (net, reached) = net, anchored(net)

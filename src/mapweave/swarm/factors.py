@@ -1,12 +1,13 @@
 """Sightings and known distances as factors of the sparse solver.
 
-The state holds `width` scalars a robot: its coordinates [m], then its heading [rad] where no axis is common.
+The state holds `width` scalars a robot: its coordinates [m], then, where no axis is common, its heading [rad] or in
+space its rotation vector.
 """
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..core.se2 import wrap_angle
+from ..core.attitude import Headings, matrices, turned
 from ..solve import Factor, Kernel
 from . import bearing
 from .network import EXACT_DISTANCE, BearingNetwork, effective_sigma
@@ -14,15 +15,27 @@ from .network import EXACT_DISTANCE, BearingNetwork, effective_sigma
 
 def width(net: BearingNetwork) -> int:
     """Scalars a robot."""
-    return net.dim if net.axis else net.dim + 1
+    return net.dim if net.axis else net.dim * (net.dim + 1) // 2
+
+
+def state(position: Float[np.ndarray, "n d"], heading: Headings | None) -> Float[np.ndarray, " s"]:
+    """Both as the solver has them."""
+    return np.asarray(position if heading is None else np.column_stack([position, heading])).ravel()
+
+
+def parted(net: BearingNetwork, x: Float[np.ndarray, " s"]) -> tuple[Float[np.ndarray, "n d"], Headings | None]:
+    """Positions and headings of a state; None where an axis is common."""
+    table = x.reshape(len(net), -1)
+    turns = table[:, net.dim :]
+    return table[:, : net.dim], None if net.axis else turns[:, 0] if net.dim == 2 else turns
 
 
 def columns(net: BearingNetwork) -> Int[np.ndarray, "m c"]:
-    """The state entries of each sighting: observer's coordinates, target's coordinates, observer's heading."""
+    """The state entries of each sighting: observer's coordinates, target's coordinates, observer's turn."""
     w, k = width(net), np.arange(net.dim)
     parts = [w * net.observer[:, None] + k, w * net.target[:, None] + k]
     if not net.axis:
-        parts.append(w * net.observer[:, None] + net.dim)
+        parts.append(w * net.observer[:, None] + np.arange(net.dim, w))
     return np.concatenate(parts, axis=1)
 
 
@@ -38,7 +51,10 @@ def bearing_factor(net: BearingNetwork, kernel: Kernel | None = None) -> Factor:
     def residual(x: np.ndarray) -> np.ndarray:
         p, q = ends(x)
         if dim == 3:
-            return -bearing.sphere_residual(net.bearing, p, q)
+            seen = net.bearing
+            if not net.axis:
+                seen = np.einsum("mij,mj->mi", matrices(x[at[:, 6:]]), seen)
+            return -bearing.sphere_residual(seen, p, q)
         z = net.bearing if net.axis else net.bearing + x[at[:, -1]]
         return -bearing.angle_residual(z, p, q)[:, None]
 
@@ -47,7 +63,7 @@ def bearing_factor(net: BearingNetwork, kernel: Kernel | None = None) -> Factor:
         J = bearing.sphere_jacobian(p, q) if dim == 3 else bearing.angle_jacobian(p, q)[:, None, :]
         parts = [-J, J]
         if not net.axis:
-            parts.append(np.full((len(J), 1, 1), -1.0))
+            parts.append(bearing.turn_jacobian(bearing.predict(p, q)[0]))
         return np.concatenate(parts, axis=2)
 
     white = np.broadcast_to(1.0 / sigma[:, None], (len(sigma), dim - 1))
@@ -105,13 +121,7 @@ def apart_factor(net: BearingNetwork, rows: Int[np.ndarray, " e"], nearest: floa
     return Factor(np.concatenate([i, j], axis=1), residual, jacobian, 1, None, None, "apart")
 
 
-def heading_entries(net: BearingNetwork) -> Int[np.ndarray, " h"]:
-    """The state entries that are angles."""
-    return np.zeros(0, dtype=np.intp) if net.axis else width(net) * np.arange(len(net)) + net.dim
-
-
 def retract(net: BearingNetwork, x: np.ndarray, dx: np.ndarray) -> np.ndarray:
-    out = np.asarray(x + dx)
-    angles = heading_entries(net)
-    out[angles] = wrap_angle(out[angles])
-    return out
+    """The state after the step `dx`, whose turns are about the common axes."""
+    (p, heading), (dp, turn) = parted(net, x), parted(net, dx)
+    return state(p + dp, None if heading is None or turn is None else turned(heading, turn))

@@ -160,6 +160,8 @@ def filtered(net: BearingNetwork, cfg: SwarmConfig, form: Form, initial: np.ndar
     """
     if len(net.observer) * (net.dim - 1) > TOO_MANY:
         raise DataError(f"{len(net.observer)} sightings are too many for a dense filter: use the batch method")
+    if not net.axis and net.dim == 3:
+        raise DataError("in space the filters need common axes: use the batch method")
     if net.distances:
         raise DataError("the filters take no known distances: use the batch method")
     used, heading = np.ones(len(net.observer), dtype=bool), None

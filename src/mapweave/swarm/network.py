@@ -37,9 +37,9 @@ class Distance(NamedTuple):
 class BearingNetwork:
     """n robots and m sightings, robots named by their index into `ids`.
 
-    observer, target: (m,); bearing: (m,) [rad] counter-clockwise from the common axis in 2D (from the observer's own
-    heading when `axis` is False), (m, 3) unit vectors in 3D; sigma: (m,) [rad] per sighting (in 3D of each tangent
-    direction), all zero for exact sightings; anchors: known positions [m] by index; distances: known ones.
+    observer, target: (m,); bearing: (m,) [rad] counter-clockwise from the common axis in 2D (in the
+    observer's own axes when `axis` is False), (m, 3) unit vectors in 3D; sigma: (m,) [rad] per sighting (in 3D of each
+    tangent direction), all zero for exact sightings; anchors: known positions [m] by index; distances: known ones.
     Raises DataError when the parts do not belong together.
     """
 
@@ -102,7 +102,6 @@ class BearingNetwork:
             (self.dim not in {2, 3}, f"dimension {self.dim}: expected 2 or 3"),
             (len(set(self.ids)) != n, "robot ids are not distinct"),
             (self.bearing.shape != shape, f"bearings of shape {self.bearing.shape} for {m} sightings in {self.dim}D"),
-            (self.dim == 3 and not self.axis, "3D needs a common axis"),
             (bool(np.any((ends < 0) | (ends >= n))), "a sighting names a robot that is not in the network"),
             (bool(np.any(self.observer == self.target)), "a robot sights itself"),
             (not np.isfinite(self.bearing).all(), "bearings must be finite"),

@@ -6,12 +6,13 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Bool, Float, Int
 
+from ..core.attitude import Headings
 from ..core.gaussian import chi2_quantile
 from ..solve import Factor, Information, Pattern, Problem, SingularError, Solution, SolveStatus
 from . import bearing, factors
 from .config import SwarmConfig
 from .network import BearingNetwork
-from .observability import Gauge, gauge_basis, normalise
+from .observability import Gauge, Observability, gauge_basis, normalise
 from .result import JointInformation, SwarmEstimate, SwarmStatus, Traffic
 from .start import SwarmStart, mutual_pairs
 
@@ -208,6 +209,15 @@ def layout_warnings(net: BearingNetwork, localisable: np.ndarray, in_line: int) 
     return warnings
 
 
+def facing_remarks(net: BearingNetwork, seen: Observability) -> list[str]:
+    """What is said of robots whose place is known and whose own axes are not: all they see lies on one line."""
+    turned = np.flatnonzero(seen.localisable & ~seen.oriented)
+    if not len(turned):
+        return []
+    names = ", ".join(net.ids[k] for k in turned[:10].tolist()) + (", .." if len(turned) > 10 else "")
+    return [f"how {len(turned)} robots are turned about the line to all they see is not known: {names}"]
+
+
 STATUS = {
     SolveStatus.CONVERGED: SwarmStatus.CONVERGED,
     SolveStatus.MAX_ITERATIONS: SwarmStatus.ITERATION_LIMIT,
@@ -241,28 +251,27 @@ def posterior(
     gauge, localisable = start.gauge, start.seen.localisable
     anyone = (localisable & ~net.is_anchor).any()  # else there was nothing to refine
     status = STATUS[solution.status] if anyone else SwarmStatus.CONVERGED
-    before = solution.x.reshape(n, w)
-    position, heading = normalise(gauge, before[:, :dim], None if net.axis else before[:, dim])
+    position, heading = normalise(gauge, *factors.parted(net, solution.x))
     position = position.copy()
     for k, p in net.anchors.items():  # also those in other components, which the gauge of this one may have moved
         position[k] = p
     x, information = solution.x, solution.information
     if gauge.name and information is not None:
-        x = (position if heading is None else np.concatenate([position, heading[:, None]], axis=1)).ravel()
+        x = factors.state(position, heading)
         information = _information_at(problem, x, information, pattern)
     G, C = gauge_basis(net, gauge, position)
     covariance = None
     close = 0
     if information is not None and cfg.covariance:
-        covariance = position_covariance(net, gauge, information, solution.free, localisable, position, (G, C))
+        covariance = position_covariance(net, gauge, information, solution.free, start.seen, position, (G, C))
         deviation = np.sqrt(np.nan_to_num(np.trace(covariance.cov, axis1=1, axis2=2)))
         honest, close = with_true_lengths(net, x, problem, information, pattern, deviation, localisable, unchecked)
         if close:
             information = honest
-            covariance = position_covariance(net, gauge, information, solution.free, localisable, position, (G, C))
+            covariance = position_covariance(net, gauge, information, solution.free, start.seen, position, (G, C))
     measured = problem.terms[: 1 + bool(net.distances)]
     chi2 = float(sum(term.squares(solution.x).sum() for term in measured))
-    unknown = dim * (n - len(net.anchors)) + (0 if net.axis else len(np.unique(net.observer)))
+    unknown = dim * (n - len(net.anchors)) + (w - dim) * len(np.unique(net.observer))
     dof = len(net.observer) * (dim - 1) + len(net.distances) - unknown + start.seen.nullity
     doubts = chi2_warnings(chi2, dof) if anyone and np.any(net.sigma > 0) else []
     doubts += ["every robot is an anchor: nobody is left to be found"] * bool(net.is_anchor.all())
@@ -271,7 +280,7 @@ def posterior(
     if information is None:
         doubts.append("the information matrix is singular: there is no covariance")
     weak = covariance is not None and covariance.weak
-    remarks = [*notes, *layout_warnings(net, localisable, start.seen.in_line)]
+    remarks = [*notes, *layout_warnings(net, localisable, start.seen.in_line), *facing_remarks(net, start.seen)]
     if anyone and np.any(net.sigma > 0):
         remarks += faint_remarks(chi2, dof)
     if covariance is not None:
@@ -334,7 +343,7 @@ class PositionCovariance:
     """cov: (n, d, d), zero for anchors, NaN where not localisable; mode_share: None when a gauge is free."""
 
     cov: Float[np.ndarray, "n d d"]
-    heading_var: Float[np.ndarray, " n"] | None
+    heading_var: Headings | None
     mode_share: float | None
     weak: bool
 
@@ -344,12 +353,12 @@ def position_covariance(
     gauge: Gauge,
     A: Information,
     free: np.ndarray,
-    localisable: Bool[np.ndarray, " n"],
+    seen: Observability,
     position: Float[np.ndarray, "n d"],
     basis: tuple[np.ndarray, np.ndarray],
 ) -> PositionCovariance:
     """Per-robot covariances from the information `A` over the entries `free`; exact sightings leave none."""
-    dim = net.dim
+    dim, localisable = net.dim, seen.localisable
     blocks = robot_blocks(A, free, len(net), factors.width(net), *basis)
     exact = not np.any(net.sigma > 0)
     cov = blocks[:, :dim, :dim] * (0.0 if exact else 1.0)
@@ -357,7 +366,9 @@ def position_covariance(
     cov[list(net.anchors)] = 0.0
     heading_var = None
     if not net.axis:
-        heading_var = np.where(localisable, blocks[:, dim, dim] * (0.0 if exact else 1.0), np.nan)
+        heading_var = np.einsum("nkk->nk", blocks)[:, dim:] * (0.0 if exact else 1.0)
+        heading_var[~(localisable & seen.oriented)] = np.nan
+        heading_var = heading_var[:, 0] if dim == 2 else heading_var
     share = None if exact or gauge.name else _largest_mode(net, A, free, cov, localisable)
     one_mode = share is not None and share > WEAK_SHARE
     weak = one_mode and _relative_deviation(net, cov, localisable, position) > WEAK_DEVIATION

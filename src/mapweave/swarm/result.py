@@ -8,6 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Bool, Float
 
+from ..core.attitude import Headings
 from ..core.gaussian import symmetrise
 from ..core.records import frozen
 from ..solve import Information
@@ -15,7 +16,7 @@ from ..solve import Information
 
 @dataclass(frozen=True, slots=True)
 class JointInformation:
-    """The information matrix (s, s) over `width` scalars a robot: its coordinates, then its heading where it has one.
+    """The information matrix (s, s) over `width` scalars a robot: coordinates, then its turn where it has one.
 
     held: (s,) entries that are known (anchors) or fixed to hold the gauge; they have no rows of their own.
     """
@@ -88,9 +89,11 @@ class SwarmEstimate:
     """n robots in the order of the network's ids.
 
     position: (n, d) [m] (in units of the gauge where scale is free), best guess also for robots not localisable;
-    heading: (n,) [rad] where no axis was common, else None; cov: (n, d, d), zero for anchors, NaN for robots not
-    localisable, None when left out; localisable: (n,), anchors included, up to the gauge; gauge: what was free and how
-    it was fixed, "" when anchors fix all; null_space: free directions of the sightings with anchors and distances held;
+    heading: (n,) [rad], in space (n, 3) rotation vectors that carry own axes into the common ones, where no axis was
+    common, else None; heading_var: of turns about the common axes [rad^2], NaN where nothing tells; cov: (n, d, d),
+    zero for anchors, NaN for robots not localisable, None when left out; localisable: (n,), anchors included, up to the
+    gauge; gauge: what was free and how it was fixed, "" when anchors fix all; null_space: free directions of the
+    sightings with anchors and distances held;
     chi2, dof: of the inliers' whitened residuals; outlier: (m,) sightings not used: judged wrong, or made by a robot
     whose heading nothing tells; reliable: whether all this may be trusted, `warnings` say why not; weak_anchors:
     nearly all variance lies in one mode (share `mode_share`).
@@ -112,8 +115,8 @@ class SwarmEstimate:
     status: SwarmStatus
     reliable: bool
     warnings: tuple[str, ...] = ()
-    heading: Float[np.ndarray, " n"] | None = None
-    heading_var: Float[np.ndarray, " n"] | None = None
+    heading: Headings | None = None
+    heading_var: Headings | None = None
     weak_anchors: bool = False
     mode_share: float | None = None
     traffic: Traffic | None = None

@@ -460,7 +460,7 @@ def graduated(net: BearingNetwork, start: SwarmStart, cfg: SwarmConfig) -> Float
 
     All robots are kept apart, since a wrong sighting is escaped by falling together.
     """
-    state = _state(start)
+    state = factors.state(start.position, start.heading)
     largest = float(np.sqrt(bearing_factor(net).squares(state).max()))
     width, pattern = max(largest, ROBUST_INLIER_GATE), None
     stage = replace(cfg, max_iterations=STAGE_ITERATIONS)
@@ -494,8 +494,7 @@ def without_heading(net: BearingNetwork, used: Bool[np.ndarray, " m"]) -> Bool[n
 def prepare_at(net: BearingNetwork, x: Float[np.ndarray, " s"], start: SwarmStart) -> SwarmStart:
     """A start for other sightings of the same robots, at positions already found."""
     moved = _moved(net, start, x)
-    fresh = prepare(replace(net, axis=True) if not net.axis else net, moved.position)
-    return fresh if net.axis else replace(moved, parts=fresh.parts)
+    return prepare(net, moved.position, moved.heading)
 
 
 def _two_sided(gate: float) -> float:
@@ -503,10 +502,6 @@ def _two_sided(gate: float) -> float:
     return erf(gate / sqrt(2.0))
 
 
-def _state(start: SwarmStart) -> np.ndarray:
-    return (start.position if start.heading is None else np.column_stack([start.position, start.heading])).ravel()
-
-
 def _moved(net: BearingNetwork, start: SwarmStart, x: np.ndarray) -> SwarmStart:
-    table = x.reshape(len(net), -1)
-    return replace(start, position=table[:, : net.dim], heading=None if net.axis else table[:, net.dim])
+    position, heading = factors.parted(net, x)
+    return replace(start, position=position, heading=heading)

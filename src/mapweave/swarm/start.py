@@ -6,7 +6,7 @@ in the positions (the bearing Laplacian of Zhao and Zelazo, Automatica 69, 2016)
 along each ray, `mu sum |p_j - p_i - r b|^2`, undoes that, and decides what the sightings leave open: a robot sighted
 once stands at the usual distance along its ray.
 
-Robots in the plane that share no axis get headings first, then positions as if there were one.
+Robots that share no axis get headings first, in space attitudes, then positions as if there were one.
 """
 
 from dataclasses import dataclass, replace
@@ -14,12 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Bool, Float, Int
-from scipy.sparse.csgraph import breadth_first_order, connected_components
+from scipy.sparse.csgraph import connected_components, dijkstra
 
 from ..core import se2
+from ..core.attitude import Headings, angles, headings, matrices, nearest
 from ..core.errors import DataError
-from ..core.se2 import wrap_angle
 from ..solve import Factor, Information, Pattern, Problem
+from .bearing import predict
 from .network import BearingNetwork, Components, components
 from .observability import Gauge, Observability, gauge_of, normalise, observe, without_lines
 
@@ -131,38 +132,41 @@ def start_without_axis(
     """
     heading, known = mutual_headings(net)
     turned = not known.any()
-    if turned:
+    if turned and net.dim == 2:
         heading, known = beacon_headings(net)
     if not known.any():
         what = "no two robots sighted each other and none sees three anchors"
+        if net.dim == 3:
+            what = "no two robots that sighted each other both see a third one off their line"
         raise DataError(f"no axis is common, {what}: no heading can be started")
-    free = replace(net, anchors={}, distances=(), axis=True) if not turned else replace(net, axis=True)
-    position, placed = np.zeros((len(net), 2)), np.zeros(len(net), dtype=bool)
+    shared = replace(net, axis=True)
+    free = shared if turned else replace(shared, anchors={}, distances=())
+    position, placed = np.zeros((len(net), net.dim)), np.zeros(len(net), dtype=bool)
     for _ in range(ROUNDS):
-        rows = known[net.observer]
-        if not rows.any():
-            break
-        seen_by = free.select(rows)
-        pieces = components(seen_by)
-        z = world_directions(net, heading)[rows]
-        position = linear_start(seen_by, pieces, z, *linear_pattern(seen_by, pieces))
-        placed = observe(seen_by, pieces, position).localisable
+        position, placed = _placed(free, heading, known)
         heading, more = resected_headings(net, position, placed, heading, known)
         if (more == known).all():
             break
         known = more
-    if not turned and parts.known[parts.reference] >= 2 and np.count_nonzero(placed & net.is_anchor) >= 2:
-        heading = heading + anchored_turn(net, position, placed)
-        rows = known[net.observer]
-        flat = replace(net, axis=True).select(rows)
-        pieces = components(flat)
-        position = linear_start(flat, pieces, world_directions(net, heading)[rows], *linear_pattern(flat, pieces))
-    elif not turned and np.count_nonzero(placed & net.is_anchor) == 1:
-        only = int(np.flatnonzero(placed & net.is_anchor)[0])
-        position = position + net.anchors[only] - position[only]
+    if not turned and (net.anchors or net.distances):
+        if np.count_nonzero(placed & net.is_anchor) >= 2 and parts.known[parts.reference] >= 2:
+            heading = headings(anchored_turn(net, position, placed) @ matrices(heading))
+        position, _ = _placed(shared, heading, known)
     used = known[net.observer]
     heard = net.select(used)
     return position, heading, observe(heard, components(heard), position), used
+
+
+def _placed(
+    net: BearingNetwork, heading: Headings, known: Bool[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, "n d"], Bool[np.ndarray, " n"]]:
+    """Positions by the sightings of the robots whose heading is `known`, and who can be located by them."""
+    rows = known[net.observer]
+    z = world_directions(net, heading)[rows]
+    seen_by = net.select(rows)
+    pieces = components(seen_by)
+    position = linear_start(seen_by, pieces, z, *linear_pattern(seen_by, pieces))
+    return position, observe(seen_by, pieces, position).localisable
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,14 +175,14 @@ class SwarmStart:
 
     parts: Components
     position: Float[np.ndarray, "n d"]
-    heading: Float[np.ndarray, " n"] | None
+    heading: Headings | None
     seen: Observability
     gauge: Gauge
     used: Bool[np.ndarray, " m"]
     pattern: Pattern | None = None  # of the sightings alone with the anchors held, where that is the whole problem
 
 
-def prepare(net: BearingNetwork, initial: np.ndarray | None = None, heading: np.ndarray | None = None) -> SwarmStart:
+def prepare(net: BearingNetwork, initial: np.ndarray | None = None, heading: Headings | None = None) -> SwarmStart:
     """A start without a guess, and what can be told from these sightings at all.
 
     initial: positions that take its place; heading: [rad], without a common axis (else those that fit `initial`).
@@ -251,6 +255,13 @@ def _offset(
     return np.array([a[0], a[1], turn]), float(np.mean(np.minimum(e * e, limit**2)))
 
 
+THIRDS = 64  # robots seen by one of a pair that are asked for its turn
+VOTING = 8  # rounds of averaging what third robots say
+AGREEING = 3.0  # standard deviations from the mean at which a vote counts half
+ON_LINE = 0.2  # [rad] standard deviation of a turn from which on the third robot may be on the line itself
+ALONE = 0.3  # [rad] what the turn of a pair may be off by that one third robot tells
+ROUNDED = 1e-9  # least standard deviation [rad] and sine of an angle
+RESECTED = 1e-3  # second singular value of what a robot sees, below which all of it lies on one line
 SWEEPS = 30  # of averaging each heading with those of the robots it is tied to
 WILD = 0.3  # [rad]; a sighting of an anchor further off counts as this much off
 
@@ -267,37 +278,101 @@ def mutual_pairs(net: BearingNetwork) -> tuple[Int[np.ndarray, " p"], Int[np.nda
     return a[once], b[once]
 
 
-def mutual_headings(net: BearingNetwork) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-    """Headings [rad] up to one turn for all, and of whom: two robots that see each other look along the same line.
+def relative_turns(
+    net: BearingNetwork,
+) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"], Float[np.ndarray, "p d d"], Float[np.ndarray, " p"]]:
+    """Robots i and j of pairs that see each other, R_i_j that carries the axes of j into those of i, and its variance.
 
-    A spanning tree of the largest component of the mutual sightings, then sweeps of circular averaging over all of
-    them.
+    Two that see each other look along one line: in the plane that is all. In space it leaves the turn about the line,
+    which each third robot that both of them see tells; where they disagree, those that most are near to count.
+    """
+    a, b = mutual_pairs(net)
+    own = net.sigma[a] ** 2 + net.sigma[b] ** 2
+    u, v = net.direction, -net.direction
+    if net.dim == 2:
+        aside = np.array([[0.0, 1.0], [-1.0, 0.0]])
+        F, E = (np.stack([x, x @ aside], axis=-1) for x in (u[a], v[b]))
+        return net.observer[a], net.target[a], F @ E.swapaxes(1, 2), own
+    pair, ik, jk = _thirds(net, a, b)
+    F, near = _triads(u[a][pair], u[ik])
+    E, far = _triads(v[b][pair], u[jk])
+    sigma = np.maximum(net.sigma, ROUNDED)
+    variance = (sigma[ik] / near) ** 2 + (sigma[jk] / far) ** 2
+    aside = variance < ON_LINE**2
+    votes, variance, pair = (F @ E.swapaxes(1, 2))[aside], variance[aside], pair[aside]
+    told, pair = np.unique(pair, return_inverse=True)
+    add = sp.csr_array((np.ones(len(pair)), (pair, np.arange(len(pair)))), shape=(len(told), len(pair)))
+    weight = 1.0 / variance
+    mean = np.zeros((len(told), 3, 3))
+    for _ in range(VOTING):
+        mean = nearest((add @ (weight[:, None] * votes.reshape(-1, 9))).reshape(-1, 3, 3))
+        weight = 1.0 / (variance + (angles(votes, mean[pair]) / AGREEING) ** 2)
+    lonely = (ALONE / (add @ (weight * variance))) ** 2  # the fewer agree, the likelier is a wrong one among the two
+    return net.observer[a[told]], net.target[a[told]], mean, own[told] + 1.0 / (add @ weight) + lonely
+
+
+def _thirds(
+    net: BearingNetwork, a: Int[np.ndarray, " p"], b: Int[np.ndarray, " p"]
+) -> tuple[Int[np.ndarray, " v"], Int[np.ndarray, " v"], Int[np.ndarray, " v"]]:
+    """Which pair, and its two sightings of one third robot: by the observer of a and by that of b; at most THIRDS."""
+    n = len(net)
+    key = net.observer * n + net.target
+    order = np.argsort(key, kind="stable")
+    first = np.searchsorted(net.observer[order], np.arange(n + 1))
+    i, j = net.observer[a], net.observer[b]
+    many = first[i + 1] - first[i]
+    tried = np.minimum(many, THIRDS)
+    pair = np.repeat(np.arange(len(a)), tried)
+    k = np.arange(len(pair)) - np.repeat(np.cumsum(tried) - tried, tried)
+    ik = order[first[i][pair] + k * many[pair] // np.maximum(tried[pair], 1)]
+    wanted = j[pair] * n + net.target[ik]
+    where = np.minimum(np.searchsorted(key[order], wanted), len(key) - 1)
+    both = key[order][where] == wanted
+    return pair[both], ik[both], order[where[both]]
+
+
+def _triads(
+    u: Float[np.ndarray, "v 3"], w: Float[np.ndarray, "v 3"]
+) -> tuple[Float[np.ndarray, "v 3 3"], Float[np.ndarray, " v"]]:
+    """Axes along u, across it towards w, and across both, in columns; and the sine between u and w."""
+    across = w - np.einsum("vk,vk->v", u, w)[:, None] * u
+    sine = np.maximum(np.linalg.norm(across, axis=1), ROUNDED)
+    across /= sine[:, None]
+    return np.stack([u, across, np.cross(u, across)], axis=-1), sine
+
+
+def mutual_headings(net: BearingNetwork) -> tuple[Headings, Bool[np.ndarray, " n"]]:
+    """Headings up to one turn for all, and of whom: of the largest piece that pairs with `relative_turns` make.
+
+    They go along the paths of least variance from one robot, then sweeps average all pairs, the less the more they
+    disagree.
     """
     n = len(net)
-    a, b = mutual_pairs(net)
-    i, j = net.observer[a], net.target[a]
-    turn = np.asarray(wrap_angle(net.bearing[b] + np.pi - net.bearing[a]))  # heading_i - heading_j
-    ends = (np.r_[i, j], np.r_[j, i])
-    offset = sp.csr_array((np.exp(1j * np.r_[turn, -turn]), ends), shape=(n, n))
-    _, label = connected_components(offset.astype(bool), directed=False)
+    i, j, R, variance = relative_turns(net)
+    at, to = np.r_[i, j], np.r_[j, i]
+    R, variance = np.concatenate([R, R.swapaxes(1, 2)]), np.maximum(np.r_[variance, variance], ROUNDED**2)
+    tied = sp.csr_array((variance, (at, to)), shape=(n, n))
+    _, label = connected_components(tied, directed=False)
     known = label == np.argmax(np.bincount(label))
+    T = np.repeat(np.eye(net.dim)[None], n, axis=0)
     if np.count_nonzero(known) < 2:
-        return np.zeros(n), np.zeros(n, dtype=bool)
-    z = np.zeros(n, dtype=complex)
-    root = int(np.flatnonzero(known)[0])
-    z[root] = 1.0
-    order, before = breadth_first_order(offset.astype(bool), root, directed=False)
-    for k in order[1:]:
-        z[k] = offset[k, before[k]] * z[before[k]]
+        return headings(T), np.zeros(n, dtype=bool)
+    far, before = dijkstra(tied, indices=np.flatnonzero(known)[0], return_predecessors=True)
+    row = sp.csr_array((np.arange(1, len(at) + 1), (at, to)), shape=(n, n))
+    for k in np.argsort(far, kind="stable")[1 : np.count_nonzero(known)].tolist():
+        T[k] = T[before[k]] @ R[row[before[k], k] - 1]
     for _ in range(SWEEPS):
-        z = z + offset @ z
-        z[known] /= np.abs(z[known])
-    return np.angle(z), known
+        said = T[at] @ R
+        off = angles(said, T[to]) ** 2
+        weight = 1.0 / (variance + np.median(off) + off)
+        add = sp.csr_array((weight, (to, np.arange(len(to)))), shape=(n, len(to)))
+        T = nearest(weight.max() * T + (add @ said.reshape(len(to), -1)).reshape(T.shape))
+    return headings(T), known
 
 
 def beacon_headings(net: BearingNetwork) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
     """Headings [rad] of robots that see three anchors or more, and who they are: each alone, without a guess."""
-    heading, known = np.zeros(len(net)), np.zeros(len(net), dtype=bool)
+    heading, known = unturned(net), np.zeros(len(net), dtype=bool)
     rows = np.flatnonzero(net.is_anchor[net.target] & ~net.is_anchor[net.observer])
     rows = rows[np.argsort(net.observer[rows], kind="stable")]
     if not len(rows):
@@ -315,38 +390,46 @@ def beacon_headings(net: BearingNetwork) -> tuple[Float[np.ndarray, " n"], Bool[
     return heading, known
 
 
+def unturned(net: BearingNetwork) -> Headings:
+    """Headings of robots whose own axes are the common ones."""
+    return np.zeros(len(net)) if net.dim == 2 else np.zeros((len(net), 3))
+
+
 def resected_headings(
-    net: BearingNetwork, position: np.ndarray, placed: np.ndarray, heading: np.ndarray, known: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Headings also of placed robots that see placed ones: the mean turn from what they see to where it is."""
+    net: BearingNetwork, position: np.ndarray, placed: np.ndarray, heading: Headings, known: np.ndarray
+) -> tuple[Headings, np.ndarray]:
+    """Headings also of placed robots that see placed ones, in space not on one line: the turn that fits those best."""
+    n, dim = len(net), net.dim
     rows = placed[net.observer] & placed[net.target] & ~known[net.observer]
     i, j = net.observer[rows], net.target[rows]
-    d = position[j] - position[i]
-    turn = np.exp(1j * (np.arctan2(d[:, 1], d[:, 0]) - net.bearing[rows]))
-    total = np.zeros(len(net), dtype=complex)
-    np.add.at(total, i, turn)
-    fresh = np.zeros(len(net), dtype=bool)
-    fresh[i] = True
-    return np.where(fresh, np.angle(total), heading), known | fresh
+    u, _ = predict(position[i], position[j])
+    M = np.zeros((n, dim, dim))
+    np.add.at(M, i, u[:, :, None] * net.direction[rows][:, None, :])
+    size = np.linalg.svd(M, compute_uv=False)[:, dim - 2]  # what tells the turn: in space, the second direction
+    fresh = size > (0.0 if dim == 2 else RESECTED)
+    out = heading.copy()
+    out[fresh] = headings(nearest(M[fresh]))
+    return out, known | fresh
 
 
-def headings_at(net: BearingNetwork, position: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-    """Headings [rad] that fit what each robot sees with all robots at `position`; zero of those that see nobody."""
+def headings_at(net: BearingNetwork, position: Float[np.ndarray, "n d"]) -> Headings:
+    """Headings that fit what each robot sees with all robots at `position`; none of those that see nobody."""
     everybody, nobody = np.ones(len(net), dtype=bool), np.zeros(len(net), dtype=bool)
-    return resected_headings(net, position, everybody, np.zeros(len(net)), nobody)[0]
+    return resected_headings(net, position, everybody, unturned(net), nobody)[0]
 
 
-def anchored_turn(net: BearingNetwork, position: Float[np.ndarray, "n 2"], chosen: np.ndarray) -> float:
-    """The turn [rad] that carries a shape onto its anchors best (place and scale free)."""
+def anchored_turn(
+    net: BearingNetwork, position: Float[np.ndarray, "n d"], chosen: np.ndarray
+) -> Float[np.ndarray, "d d"]:
+    """The turn that carries a shape onto its anchors best (place and scale free)."""
     at = np.array([k for k in net.anchors if chosen[k]], dtype=np.intp)
-    here = position[at] @ np.array([1.0, 1j])
-    there = np.array([net.anchors[int(k)] for k in at]) @ np.array([1.0, 1j])
-    return float(np.angle(np.vdot(here - here.mean(), there - there.mean())))
+    here, there = position[at], np.array([net.anchors[int(k)] for k in at])
+    M = (there - there.mean(axis=0)).T @ (here - here.mean(axis=0))
+    return np.asarray(nearest(M[None])[0])
 
 
-def world_directions(net: BearingNetwork, heading: np.ndarray | None) -> Float[np.ndarray, "m d"]:
+def world_directions(net: BearingNetwork, heading: Headings | None) -> Float[np.ndarray, "m d"]:
     """Sightings as unit vectors in the common axes."""
     if heading is None:
         return net.direction
-    z = net.bearing + heading[net.observer]
-    return np.stack([np.cos(z), np.sin(z)], axis=1)
+    return np.asarray(np.einsum("mij,mj->mi", matrices(heading)[net.observer], net.direction))
