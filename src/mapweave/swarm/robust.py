@@ -22,7 +22,7 @@ from .factors import bearing_factor
 from .network import BearingNetwork, components, effective_sigma
 from .posterior import CLOSE, doubtful_warnings, fallen_warnings, posterior, support_warnings, trust_warnings
 from .result import SwarmEstimate
-from .start import SwarmStart, linear_pattern, linear_start, mutual_pairs, prepare, world_directions
+from .start import SwarmStart, linear_pattern, linear_start, mutual_pairs, prepare
 
 ROBUST_REWEIGHTS = 12  # of the start of least unsquared deviations
 ROBUST_COOLING = 1.6  # by which the kernel's width is divided at each stage
@@ -361,7 +361,8 @@ def robust(net: BearingNetwork, cfg: SwarmConfig, initial: np.ndarray | None = N
     used = agree.copy()
     used[agree] = start.used
     kept = net.select(used)
-    start = replace(start, position=unsquared_start(kept, start) if initial is None else start.position)
+    if initial is None and net.axis:  # directions turned wrongly would draw all robots together
+        start = replace(start, position=unsquared_start(kept, start))
     x = graduated(kept, start, cfg)
     if net.axis:
         x = relocated(kept, x.reshape(len(net), net.dim), outlier_limit(net, ROBUST_INLIER_GATE)).ravel()
@@ -442,8 +443,7 @@ def unsquared_start(net: BearingNetwork, start: SwarmStart) -> Float[np.ndarray,
     """Positions of least summed (not squared) deviation, by reweighting the linear start."""
     parts = components(net)
     pattern, held = linear_pattern(net, parts)
-    direction = world_directions(net, start.heading)
-    plain = net if net.axis else replace(net, axis=True)
+    direction = net.direction
     position = start.position
     for _ in range(ROBUST_REWEIGHTS):
         d = position[net.target] - position[net.observer]
@@ -451,7 +451,7 @@ def unsquared_start(net: BearingNetwork, start: SwarmStart) -> Float[np.ndarray,
         along = np.einsum("mk,mk->m", d, direction)
         miss = np.linalg.norm(d - np.maximum(along, 0.0)[:, None] * direction, axis=1) / usual
         weights = 1.0 / np.maximum(miss, effective_sigma(net))
-        position = linear_start(plain, parts, direction, pattern, held, weights / weights.max())
+        position = linear_start(net, parts, direction, pattern, held, weights / weights.max())
     return position
 
 
