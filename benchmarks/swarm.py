@@ -31,7 +31,7 @@ def network(swarm: Swarm, known: tuple[int, ...]) -> BearingNetwork:
     table = swarm.table
     z = table.bearing() if table.dim == 2 else table.direction
     anchors = {k: swarm.position[0][k] for k in known}
-    return BearingNetwork(table.ids, table.dim, table.observer, table.target, z, table.sigma, anchors)
+    return BearingNetwork(table.ids, table.dim, table.observer, table.target, z, table.sigma, anchors, axis=table.axis)
 
 
 def scene(n: int, dim: int = 2, degrees: float = 0.5) -> SwarmScene:

@@ -1,10 +1,11 @@
 """The documentation's tables of simulated swarms, one at a time and in Markdown.
 
-    OMP_NUM_THREADS=1 python benchmarks/swarm_tables.py accuracy|cost|grid|messages [--draws N]
+    OMP_NUM_THREADS=1 python benchmarks/swarm_tables.py accuracy|attitudes|cost|grid|messages [--draws N]
 
 accuracy: 1,000 robots, anchors at the corners and next to each other. cost: seconds of large swarms and of other
 solvers. grid: RMSE over the bound in the plane and in space, a new layout each draw. messages: what robots send each
-other in belief propagation. Seconds are those of the processor.
+other in belief propagation. attitudes: robots in space without common axes, with 10 % of sightings wrong too.
+Seconds are those of the processor.
 """
 
 import argparse
@@ -13,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mapweave.core.attitude import matrices
 from mapweave.sim.swarm import SwarmScene, simulate_swarm
 from mapweave.swarm.config import SwarmConfig
 from mapweave.swarm.locate import locate
@@ -86,6 +88,47 @@ def print_accuracy(draws: int) -> None:
         print(f"| {' | '.join(map(str, cells))} |")
 
 
+def attitude_draw(scene: SwarmScene, seed: int) -> tuple[float, float, float, bool] | None:
+    """Sums of squared error and of the bound [m^2] over the robots located, NEES per degree of freedom, and trust.
+
+    The bound is of the sightings that are right, at the true places. None where nobody is located.
+    """
+    swarm = simulate_swarm(scene, np.random.default_rng([12, seed]))
+    truth = swarm.position[0]
+    net = network(swarm, swarm.corners if scene.robots > 8 else (0, 1, 2))
+    found = locate(net, SwarmConfig(method="robust" if scene.outliers else "batch"))
+    if found.information is None or found.gauge or not (found.localisable & ~found.anchor).any():
+        return None
+    d = truth[net.target] - truth[net.observer]
+    seen = np.einsum("mij,mj->mi", matrices(swarm.heading[0])[net.observer], net.direction)
+    right = np.einsum("mk,mk->m", d, seen) > np.cos(6.0 * scene.sigma) * np.linalg.norm(d, axis=1)
+    best = locate(net.select(right), SwarmConfig(max_iterations=0), truth)
+    both = found.localisable & ~found.anchor & best.localisable
+    value, dof = found.nees(truth)
+    square = float(np.square(found.position - truth)[both].sum())
+    return square, float(np.trace(np.asarray(best.cov)[both], axis1=1, axis2=2).sum()), value / dof, found.reliable
+
+
+def print_attitudes(draws: int) -> None:
+    print("| robots | sightings | wrong | draws | rms / bound | NEES per dof | trusted: rms / bound | NEES |")
+    print("|---|---|---|---|---|---|---|---|")
+    for robots in (5, 27, 125, 1000):
+        many = draws if robots >= 1000 else draws * (10 if robots < 100 else 3)
+        for seen in ("directed", "mutual"):
+            for wrong in (0.0, 0.1):
+                sigma = float(np.radians(0.5))
+                scene = SwarmScene(robots=robots, dim=3, axis=False, sigma=sigma, visibility=seen, outliers=wrong)
+                tried = [attitude_draw(scene, k) for k in range(many)]
+                runs = np.array([one for one in tried if one is not None])
+                trusted = runs[runs[:, 3] > 0]
+                cells = [f"{len(runs)} of {many}"]
+                for part in (runs, trusted):
+                    spread = part[:, 2].std() / np.sqrt(len(part))
+                    cells += [f"{np.sqrt(part[:, 0].sum() / part[:, 1].sum()):.3f}"]
+                    cells += [f"{part[:, 2].mean():.3f} ± {spread:.3f}" + f" ({len(part)})" * (part is trusted)]
+                print(f"| {robots:,} | {seen} | {100 * wrong:.0f} % | {' | '.join(cells)} |", flush=True)
+
+
 def print_cost(_: int) -> None:
     flat, space = large()
     many, rival, wrong, exponent = huge(), rivals(), guess(), curve()["exponent"]
@@ -129,6 +172,7 @@ def print_messages(_: int) -> None:
 
 TABLES: dict[str, Callable[[int], None]] = {
     "accuracy": print_accuracy,
+    "attitudes": print_attitudes,
     "cost": print_cost,
     "grid": print_grid,
     "messages": print_messages,
