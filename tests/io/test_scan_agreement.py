@@ -13,17 +13,19 @@ from mapweave.io.scan_checks import scan_agreement
 REACH = 30.0
 
 
-def ranges(pose, size, rng) -> np.ndarray:
-    """180 beams in a hall of `size` [m] about the origin."""
-    angle = pose[2] + np.linspace(-np.pi / 2, np.pi / 2, 180)
+def ranges(pose, size, rng, beams=180, noise=0.01) -> np.ndarray:
+    """`beams` over half a turn in a hall of `size` [m] about the origin; noise [m]."""
+    angle = pose[2] + np.linspace(-np.pi / 2, np.pi / 2, beams)
     u = np.stack([np.cos(angle), np.sin(angle)])
     half = np.array(size)[:, None] / 2
     with np.errstate(divide="ignore"):
         far = np.where(u > 0, half - pose[:2, None], -half - pose[:2, None]) / u
-    return far.min(axis=0) + rng.normal(0, 0.01, 180)
+    return far.min(axis=0) + rng.normal(0, noise, beams)
 
 
-def drive(seed: int, size=(12.0, 9.0), *, mount=0.0, scale=1.0, wheels=lambda pose: pose) -> list[Scan]:
+def drive(
+    seed: int, size=(12.0, 9.0), *, mount=0.0, scale=1.0, wheels=lambda pose: pose, beams=180, noise=0.01
+) -> list[Scan]:
     """Straight ways and turns on the spot; `mount` of the scanner [rad], ranges times `scale`, odometry as `wheels`."""
     rng = np.random.default_rng(seed)
     pose, scans, turn = np.zeros(3), [], 0.0
@@ -31,7 +33,7 @@ def drive(seed: int, size=(12.0, 9.0), *, mount=0.0, scale=1.0, wheels=lambda po
         turn = rng.uniform(0.05, 0.3) if k % 20 == 12 else turn
         step = [0.05, 0.0, 0.0] if k % 20 < 12 else [0.0, 0.0, turn]
         pose = se2.compose(pose, np.array(step))
-        seen = ranges(se2.compose(pose, np.array([0.0, 0.0, mount])), size, rng) * scale
+        seen = ranges(se2.compose(pose, np.array([0.0, 0.0, mount])), size, rng, beams, noise) * scale
         hit = (seen > 0) & (seen < REACH)
         scans.append(
             Scan(
@@ -39,7 +41,7 @@ def drive(seed: int, size=(12.0, 9.0), *, mount=0.0, scale=1.0, wheels=lambda po
                 hit,
                 None,
                 -np.pi / 2,
-                np.pi / 179,
+                np.pi / (beams - 1),
                 REACH,
                 odometry=np.array(wheels(pose), float),
             )
@@ -54,6 +56,14 @@ def test_a_right_log_is_left_alone_in_halls_and_corridors(seed):
     assert found.scale == pytest.approx(1.0, abs=0.15)
     assert found.direction == pytest.approx(0.0, abs=0.1)
     assert scan_agreement(drive(seed, (400.0, 2.0))).finding("1") is None
+
+
+@pytest.mark.parametrize("beams", [361, 721, 1441])
+def test_beams_a_fraction_of_a_degree_apart_tell_the_motion_as_well(beams):
+    """Walls were seen to lie as two neighbouring returns do, which noise turns anywhere."""
+    found = scan_agreement(drive(1, beams=beams, noise=0.03))
+    assert found.finding("1") is None
+    assert found.scale == pytest.approx(1.0, abs=0.05)
 
 
 @pytest.mark.parametrize(

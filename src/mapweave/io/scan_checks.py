@@ -42,6 +42,7 @@ SCAN_AGREEMENT_AHEAD = 20  # scans, within which the later one is looked for
 SCAN_AGREEMENT_WAY = (0.1, 0.6)  # [m] by the wheels between the two,
 SCAN_AGREEMENT_TURN = 0.06  # [rad] and by how much at most they turn
 SCAN_AGREEMENT_SLOPE = 0.25  # of the range, by which a beam's neighbours may differ in range to lie on one wall
+SCAN_AGREEMENT_SIDE = 0.018  # [rad] to either side of a beam, whose returns tell how its wall lies
 SCAN_AGREEMENT_NEAR = 0.6  # [m] along the normal, from which a change is of another wall
 SCAN_AGREEMENT_LEAST_PAIRS = 40  # of scans that must speak
 SCAN_AGREEMENT_SURE = 6.0  # standard deviations
@@ -295,12 +296,18 @@ def _changes(
     later = (1 - part) * b.ranges[low] + part * b.ranges[low + 1]
     direction = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     p = a.ranges[:, None] * direction
+    side = max(1, round(SCAN_AGREEMENT_SIDE / max(abs(a.angle_increment), 1e-6)))
+    if n <= 2 * side:
+        return None
     tangent = np.zeros_like(p)
-    tangent[1:-1] = p[2:] - p[:-2]
+    weight = np.arange(side, -side - 1, -1.0)
+    tangent[side:-side] = np.stack([np.convolve(column, weight, "valid") for column in p.T], axis=-1)
     normal = np.stack([tangent[:, 1], -tangent[:, 0]], axis=-1)
     size = np.hypot(*normal.T)
-    flat = _flat(a)
-    good = seen & a.hit & flat & np.roll(flat, 1) & (size > 0)
+    whole = np.convolve(_flat(a), np.ones(2 * side), "valid") > 2 * side - 0.5
+    flat = np.zeros(n, bool)
+    flat[side:-side] = whole[: n - 2 * side]
+    good = seen & a.hit & flat & (size > 0)
     if good.sum() < 20:
         return None
     normal = normal[good] / size[good, None]
