@@ -27,7 +27,7 @@ def sessions(logs, office_map, tmp_path_factory):
     folder = tmp_path_factory.mktemp("sessions")
     (folder / "one").symlink_to(office_map[1])
     mapweave.map([logs[0]], folder / "first", method="graph")
-    mapweave.map([logs[1]], folder / "both", laser=LaserOptions(resume=folder / "first"))
+    mapweave.map([logs[1]], folder / "both", laser=LaserOptions(resume=str(folder / "first")))
     return folder
 
 
@@ -62,6 +62,8 @@ def test_scans_that_come_one_by_one_go_on_from_a_saved_map_as_their_log_does(ses
     assert mapweave.LaserSlam(resume=sessions / "first" / "map.yaml").robot == "1"
     with pytest.raises(UsageError, match="resume: expected a path, found int"):
         mapweave.LaserSlam(resume=3)
+    with pytest.raises(UsageError, match="resume: expected a path, found int"):
+        mapweave.map([logs[1]], laser=LaserOptions(resume=3))
     with pytest.raises(ReaderError, match="nowhere"):
         mapweave.LaserSlam(resume=tmp_path / "nowhere")
 

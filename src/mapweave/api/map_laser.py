@@ -16,6 +16,7 @@ from ..core.errors import DataError, UsageError
 from ..core.findings import Finding
 from ..core.laser_log import LaserLog
 from ..core.names import robot_name
+from ..core.paths import path_of
 from ..core.workers import Progress, no_progress, worker_pool
 from ..io.kept import part, parts
 from ..io.laser_logs import LaserSource, is_bag, is_laser_log, read_laser, robots_of
@@ -52,7 +53,7 @@ def map_logs(logs: Sequence[Path | LaserLog], options: MapOptions) -> LaserResul
     """
     before = options.laser.resume
     if before is not None:
-        return _going_on(before, logs, options)
+        return _going_on(path_of(before, "resume"), logs, options)
     cfg = _configured(options)
     held = _robots(logs, options, [])
     jobs = [(log, key, source, cfg, options.seed, options.share.get(key, 1.0)) for key, (log, source) in held.items()]

@@ -72,7 +72,7 @@ class LaserOptions:
     fixes: str | None = None
     no_loops: bool = False
     no_merge: bool = False
-    resume: Path | None = None
+    resume: Path | str | None = None
     columns: str | None = None
     beams: tuple[float, float] | None = None
 
