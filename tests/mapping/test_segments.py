@@ -11,6 +11,7 @@ from mapweave.core.findings import Finding
 from mapweave.core.laser_log import LaserLog
 from mapweave.core.records import Scan, Track
 from mapweave.laser.closures import Closure
+from mapweave.laser.log_warnings import wheels_leap
 from mapweave.laser.robot_graph import RobotGraph
 from mapweave.laser.scan_odometry import ScanInfo
 from mapweave.mapping.config import LaserConfig
@@ -124,6 +125,26 @@ def test_wheels_that_are_set_anew_leap_once_and_a_robot_that_drives_off_does_not
     still = [0.0] * (2 * LEARNED)
     assert sum(leaps([*still, 40.0, *still])) == 1
     assert 1 <= sum(leaps([*still, *[2.0] * 30])) <= 4
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "anew"),
+    [
+        ((5.0, 1.0, 0.0), (5.02, 1.0, 3.1), False),  # it turned about
+        ((0.1, 0.3, 2.5), (0.05, 0.0, 0.02), True),  # set to zero, near where it began
+        ((5.0, 1.0, 0.0), (0.05, 0.0, 0.02), True),
+        ((5.0, 1.0, 0.0), (7.0, 9.0, 3.1), True),
+    ],
+)
+def test_wheels_that_turn_and_do_not_move_are_those_of_a_robot_that_turned_about(before, after, anew):
+    borders, poses = Borders(), [before] * (2 * LEARNED) + [after] * 3
+    told = []
+    for k, pose in enumerate(poses):
+        told.append(borders.leapt(float(k), np.array(pose)))
+        borders.seen(float(k), info(decision="first" if k == 0 else "matched"), np.zeros(3), wheels=True)
+    assert any(told) == anew
+    scans = [Scan(np.ones(1), np.ones(1, bool), None, 0.0, 0.1, 5.0, odometry=np.array(pose)) for pose in poses]
+    assert bool(wheels_leap(np.arange(float(len(poses))), scans, "1", segments=True)) == anew
 
 
 def test_that_a_robot_drives_fast_is_known_from_its_first_step():

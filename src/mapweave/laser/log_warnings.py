@@ -22,7 +22,7 @@ from collections.abc import Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ..core import se2
 from ..core.findings import Finding
@@ -57,6 +57,7 @@ WHEEL_LEAP = 2.0  # [m] from one scan to the next, or
 LEAP_TURN = 1.0  # [rad] that it turns from one scan to the next: a leap, at
 LEAP_SPEED = 5.0  # times the speed that no more
 LEAP_OTHERS = 0.95  # of all steps than this share have
+NEAR_ZERO = np.array([0.2, 0.2, 0.1])  # [m, m, rad] that the wheels tell at most of where they began
 
 ALONE_WIDE = 0.6  # [rad] from one scan to the next that nothing but they tell: rooms alike pass for each other
 
@@ -206,6 +207,12 @@ def wheels_unlike(track: Track, dead: Track | None, robot: str) -> tuple[Finding
     return (Finding("wheels-unlike", robot, value=scans / wheels),)
 
 
+def set_to_zero(before: Float[np.ndarray, "*n 3"], after: Float[np.ndarray, "*n 3"]) -> Bool[np.ndarray, "*n"]:
+    """Whether wheels that were elsewhere tell of where they began: a robot that turns about stays where it is."""
+    there = [(np.abs(pose) <= NEAR_ZERO).all(axis=-1) for pose in (before, after)]
+    return np.asarray(there[1] & ~there[0])
+
+
 def wheels_leap(
     t: Float[np.ndarray, " m"], scans: Sequence[Scan], robot: str, *, segments: bool = False
 ) -> tuple[Finding, ...]:
@@ -218,8 +225,10 @@ def wheels_leap(
     poses = np.array([scan.odometry for scan in scans], dtype=float)
     step, dt = se2.between(poses[:-1], poses[1:]), np.maximum(np.diff(t), 1e-9)
     way, turn = np.hypot(step[:, 0], step[:, 1]), np.abs(step[:, 2])
-    fast = [moved / dt > LEAP_SPEED * np.quantile(moved / dt, LEAP_OTHERS) for moved in (way, turn)]
-    leaps = ((way >= WHEEL_LEAP) & fast[0]) | ((turn >= LEAP_TURN) & fast[1])
+    fast = [size / dt > LEAP_SPEED * np.quantile(size / dt, LEAP_OTHERS) for size in (way, turn)]
+    moved = (way > NEAR_ZERO[0]) & fast[0]
+    turned = (turn >= LEAP_TURN) & fast[1] & (moved | set_to_zero(poses[:-1], poses[1:]))
+    leaps = ((way >= WHEEL_LEAP) & fast[0]) | turned
     if not leaps.any():
         return ()
     k = int(np.argmax(np.where(leaps, way / WHEEL_LEAP + turn / LEAP_TURN, 0.0)))

@@ -16,6 +16,7 @@ from ..core import se2
 from ..core.findings import Finding
 from ..core.laser_log import LaserLog
 from ..core.records import Track, frozen
+from ..laser.log_warnings import set_to_zero
 from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import ScanInfo
 
@@ -87,7 +88,8 @@ class Borders:
         far = len(self._apart) >= LEARNED and bool((moved > LEAP).any())
         if far:
             usual = np.quantile(self._speed, 0.95, axis=0) if self._speed else np.zeros(2)
-            far = bool(((moved > LEAP) & (speed > LEAP_TIMES * np.maximum(usual, SLOW))).any())
+            fast = speed > LEAP_TIMES * np.maximum(usual, SLOW)
+            far = bool(((moved > LEAP) & fast).any() and (fast[0] or set_to_zero(before, wheels)))
         if (not far or self._leapt) and len(self._speed) < 10 * LEARNED:  # one after the other, they are a robot's way
             self._speed.append(speed)
         self._leapt = far
