@@ -29,8 +29,6 @@ from mapweave.sim.laser import DriftConfig, DriveConfig, Scanner, WallStyle, Wor
 from mapweave.sim.laser_worlds import OfficeConfig, TunnelConfig, office_route, office_world, simulate_tunnel
 
 DRIFT = DriftConfig(end_error=(1.0, 2.0))
-GLASS_SEEN = 0.97  # cosine of incidence: glass hit more squarely returns light
-SHARE_OF_GLASS = 0.35
 Rng = np.random.Generator
 
 
@@ -146,12 +144,9 @@ def turned(rng: Rng) -> Change:
 
 
 def glass(rng: Rng, _: int) -> list[RawLog]:
-    """A share of the walls is glass: seen where it is hit squarely, seen through elsewhere."""
-    cfg, seed = office(rng), int(rng.integers(1000))
-    world = office_world(cfg, seed)
-    pane = rng.random(len(world.segments)) < SHARE_OF_GLASS
-    glazed = replace(world, shown=np.where(pane, GLASS_SEEN, 0.0))
-    return [raw(drive(glazed, office_route(cfg, seed), cfg.drive, seed).log)]
+    """Rooms with walls of glass to the corridor, seen where they are hit squarely, seen through elsewhere."""
+    cfg = replace(office(rng, far=float(rng.uniform(5.6, 12.0))), glazed=float(rng.uniform(0.5, 1.0)))
+    return [raw(driven(cfg, int(rng.integers(1000))))]
 
 
 def corridor(rng: Rng, _: int) -> list[RawLog]:

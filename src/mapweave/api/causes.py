@@ -71,12 +71,12 @@ MENDS = {  # cause: what it is in words, and what mends it
         "wheels and ranges have different scales",
         "calibrate the wheels, and compare the map with a length that you know",
     ),
+    "people": ("much of what was seen moves", "map at a quiet time, or drive through twice"),
+    "glass": ("walls of glass are seen at some angles and seen through at others", "cover the panes or mask them"),
     "symmetry": (
         "places that look alike are taken for one another",
         "say which are apart with `mapweave edit` or --decisions, or where robots start with --start",
     ),
-    "people": ("much of what was seen moves", "map at a quiet time, or drive through twice"),
-    "glass": ("walls of glass are seen at some angles and seen through at others", "cover the panes or mask them"),
     "corridor": (
         "walls tell little along long corridors that look alike",
         "keep the wheels calibrated, use the light of returns, or add landmarks or fixes",
