@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from jaxtyping import Float, TypeCheckError
+from beartype.roar import BeartypeCallHintViolation
+from jaxtyping import Float
 
 from . import typecheck
 
@@ -21,7 +22,7 @@ def wrong(n: int, call) -> list[int]:
     for k in range(1, n + 1):
         try:
             call()
-        except TypeCheckError:
+        except BeartypeCallHintViolation:
             found.append(k)
     return found
 
@@ -36,10 +37,19 @@ def shortened(x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
 
 def test_arguments_and_results_of_the_wrong_shape_are_found(checked):
     assert checked(doubled)(np.ones((3, 2))).shape == (3, 2)
-    with pytest.raises(TypeCheckError, match="doubled"):
+    with pytest.raises(BeartypeCallHintViolation, match="doubled"):
         checked(doubled)(np.ones((2, 3)))
-    with pytest.raises(TypeCheckError, match="return value"):
+    with pytest.raises(BeartypeCallHintViolation, match="return"):
         checked(shortened)(np.ones((3, 2)))
+
+
+def test_names_that_type_checkers_alone_know_stand_for_anything_and_the_rest_is_checked(checked):
+    @checked
+    def drawn(on: "Axes", by: "np.Pen", x: "Float[np.ndarray, ' n']") -> None: ...
+
+    drawn("anything", "at all", np.ones(2))
+    with pytest.raises(BeartypeCallHintViolation):
+        drawn("anything", "at all", np.ones((2, 2)))
 
 
 def test_the_first_calls_of_a_test_are_checked_and_one_in_so_many_after(checked):
@@ -70,9 +80,9 @@ def test_fields_of_a_dataclass_are_checked_and_ints_stand_for_floats(checked):
         weight: float
 
     assert Point(np.ones(2), 1).weight == 1
-    with pytest.raises(TypeCheckError):
+    with pytest.raises(BeartypeCallHintViolation):
         Point(np.ones(3), 1.0)
-    with pytest.raises(TypeCheckError):
+    with pytest.raises(BeartypeCallHintViolation):
         Point(np.ones(2), "1")
 
 
@@ -80,5 +90,5 @@ def test_fields_of_a_dataclass_are_checked_and_ints_stand_for_floats(checked):
 def test_the_house_is_checked_while_tests_run():
     from mapweave.core import se2
 
-    with pytest.raises(TypeCheckError):
+    with pytest.raises(BeartypeCallHintViolation):
         se2.between(np.zeros(4), np.zeros(3))

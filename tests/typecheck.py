@@ -9,7 +9,8 @@ import dataclasses
 import functools
 import inspect
 from collections.abc import Callable
-from types import CodeType
+from types import CodeType, SimpleNamespace
+from typing import Any, get_type_hints
 
 import jaxtyping
 from beartype import BeartypeConf, beartype
@@ -35,8 +36,33 @@ def begin() -> None:
     _Turn.number += 1
 
 
-def thinned(plain: Callable, check: Callable[[], Callable]) -> Callable:
-    """`plain`, some calls of which go to what `check` makes: it checks what it is given and gives back."""
+def _known(hint: object, plain: Callable) -> object:
+    """`hint`, or anything at all where it names what type checkers alone know."""
+    alone = SimpleNamespace(__annotations__={"hint": hint})
+    try:
+        return get_type_hints(alone, plain.__globals__, include_extras=True)["hint"]
+    except (NameError, AttributeError):
+        return Any
+
+
+def _checking(plain: Callable, typechecker: Callable) -> Callable:
+    """`plain`, which checks what it is given and gives back: letters of shapes stand for one number within a call.
+
+    `jaxtyping.jaxtyped` would check arguments twice, by two functions it makes, for a message that shows them all.
+    """
+    plain.__annotations__ = {name: _known(hint, plain) for name, hint in plain.__annotations__.items()}
+    check = typechecker(plain)
+
+    def call(*args, **kwargs):
+        __tracebackhide__ = True
+        with _jaxtyped("context"):
+            return check(*args, **kwargs)
+
+    return call
+
+
+def thinned(plain: Callable, typechecker: Callable) -> Callable:
+    """`plain`, some calls of which are checked."""
     first, every, seen = FIRST, EVERY, [0, -1]  # calls since the test or fixture began, and which of them it is
     if "<locals>" in getattr(plain, "__qualname__", ""):
         first, every = FIRST_NESTED, EVERY_NESTED
@@ -53,7 +79,7 @@ def thinned(plain: Callable, check: Callable[[], Callable]) -> Callable:
         if number > first and number % every:
             return plain(*args, **kwargs)
         if always is None:
-            always = check()
+            always = _checking(plain, typechecker)
         return always(*args, **kwargs)
 
     return call
@@ -64,11 +90,11 @@ def jaxtyped(made=None, *, typechecker=None):
     if made is None:
         return functools.partial(jaxtyped, typechecker=typechecker)
     if not inspect.isclass(made):
-        return thinned(made, lambda: _jaxtyped(made, typechecker=typechecker))
+        return thinned(made, typechecker)
     if dataclasses.is_dataclass(made) and "__init__" in vars(made):
         plain = made.__init__
         if plain.__globals__ is not globals():  # not one that was written out, which is checked already
-            made.__init__ = thinned(plain, lambda: _jaxtyped(plain, typechecker=typechecker))
+            made.__init__ = thinned(plain, typechecker)
     return made
 
 
