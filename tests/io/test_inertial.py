@@ -47,13 +47,21 @@ def test_turns_are_read_however_the_unit_is_mounted_and_whatever_it_counts_in(tm
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("seconds", "turns"), [(60.0, 2.0), (40.0, 3.0)])
-def test_beside_a_scanner_alone_it_maps_turns_that_matching_alone_loses(tmp_path, seconds, turns):
-    truth, rate = truth_of(seconds, turns)
-    alone = mapweave.map(spin_bag(tmp_path / "a.mcap", truth, rate, imu=False)).maps[0].track
-    told = mapweave.map(spin_bag(tmp_path / "b.mcap", truth, rate, bias=0.02)).maps[0].track
+def test_beside_a_scanner_alone_it_maps_turns_that_matching_alone_loses(tmp_path):
+    truth, rate = truth_of(40.0, 2.0)
+    alone = mapweave.map(spin_bag(tmp_path / "a.mcap", truth, rate, imu=False, every=40)).maps[0].track
+    told = mapweave.map(spin_bag(tmp_path / "b.mcap", truth, rate, bias=0.02, every=40)).maps[0].track
     assert error_of(told, truth)[0] < 0.05
     assert error_of(told, truth)[0] < 0.2 * error_of(alone, truth)[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seconds", "turns"), [(60.0, 2.0), (40.0, 1.0), (40.0, 3.0)])
+def test_matching_alone_asks_for_no_turn_that_no_robot_makes_between_two_scans(tmp_path, seconds, turns):
+    """From two places the room looks alike: turned far enough, scans of either fit the other."""
+    truth, rate = truth_of(seconds, turns)
+    alone = mapweave.map(spin_bag(tmp_path / "a.mcap", truth, rate, imu=False)).maps[0].track
+    assert error_of(alone, truth)[1] < 0.1
 
 
 def test_a_bias_is_found_where_the_robot_stands(tmp_path):

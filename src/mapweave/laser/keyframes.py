@@ -201,9 +201,12 @@ class KeyframeOdometry:
         """Where odometry puts the robot at a scan, in its own frame; without odometry it goes on as before."""
         return np.asarray(se2.compose(self.local, self.odometry.increment(scan.odometry, scan.heading).u))
 
-    def advance(self, scan: Scan, b: Beams, *, leapt: bool = False) -> ScanInfo:
-        """`local` is the pose of this scan; one that shows nothing is carried by odometry, unless that `leapt`."""
-        info = self.odometry.advance(scan, b, leapt=leapt)
+    def advance(self, scan: Scan, b: Beams, *, leapt: bool = False, t: float | None = None) -> ScanInfo:
+        """`local` is the pose of this scan; one that shows nothing is carried by odometry, unless that `leapt`.
+
+        t: when it was taken [s].
+        """
+        info = self.odometry.advance(scan, b, leapt=leapt, t=t)
         self.status = info.decision
         self.maker.advance(self.odometry.pose, self.odometry.step, self.odometry.lines)
         return info

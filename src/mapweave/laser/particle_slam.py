@@ -83,7 +83,7 @@ def step(
     if not isinstance(event.record, Scan):
         return state, None
     b = beams(event.record, state.feature, state.calibration, cfg.beam)
-    info = state.odometry.advance(event.record, b, leapt=leapt)
+    info = state.odometry.advance(event.record, b, leapt=leapt, t=event.t)
     row = len(state.odometry.poses) - 1
     if info.decision in {"first", "empty"} and state.history:
         return state, info

@@ -35,6 +35,8 @@ from .wheel_worth import WheelWorth
 FRONT_END_LEAST_BEAMS = LEAST_RETURNS  # scans with fewer returns are not matched
 
 ALONE_SD = np.array([0.25, 0.25, ALONE_TURN])  # [m, m, rad] of a step of a robot without odometry
+ALONE_TURNING = 2.0  # [rad/s] that it may turn by, one sigma, however near its scans follow each other
+APART_LEARNED = 0.1  # [-] what one step counts in how far apart scans usually are
 GYRO_TURN = 0.02  # [rad] by which the turn of a gyroscope may err in a step, one sigma
 
 
@@ -143,6 +145,8 @@ class ScanOdometry:
         self.odometry: np.ndarray | None = None
         self.step = np.zeros(3)
         self.heading: float | None = None
+        self._t: float | None = None  # of the latest scan [s]
+        self._usual = 0.0  # time from scan to scan [s]
         self._stood: np.ndarray | None = None  # where it was when the wheels moved last, while they report nothing
         self.lines = np.zeros((3, 3))
 
@@ -158,11 +162,17 @@ class ScanOdometry:
         """The latest pose; zero before the first scan."""
         return np.asarray(self.poses[-1]) if len(self.poses) else np.zeros(3)
 
-    def increment(self, odometry: Float[np.ndarray, "3"] | None, heading: float | None = None) -> Increment:
-        """What odometry says of the motion since the last scan; wheels that stand while the robot drives say none."""
+    def increment(
+        self, odometry: Float[np.ndarray, "3"] | None, heading: float | None = None, apart: float = np.inf
+    ) -> Increment:
+        """What odometry says of the motion since the last scan; wheels that stand while the robot drives say none.
+
+        apart: time since the last scan [s]: without odometry the robot turned no further than robots can in it.
+        """
         if odometry is None or (self._wheels_stand(odometry) and self._left_its_place()):
             if heading is None or self.heading is None:
-                return Increment(self.step, ALONE_SD, alone=True)
+                turns = max(min(ALONE_TURN, ALONE_TURNING * apart), GYRO_TURN)
+                return Increment(self.step, np.array([*ALONE_SD[:2], turns]), alone=True)
             turn = heading - self.heading
             way = se2.rotation(0.5 * (turn - float(self.step[2]))) @ self.step[:2]
             return Increment(
@@ -187,9 +197,21 @@ class ScanOdometry:
         away = se2.between(self._stood, self.pose)
         return bool(np.hypot(away[0], away[1]) > STILL_XY or abs(away[2]) > STILL_TURN)
 
-    def advance(self, scan: Scan, b: Beams, *, leapt: bool = False) -> ScanInfo:
-        """`poses` has one more: where the robot was at the scan. leapt: its odometry was set anew, tells nothing."""
-        u, sd, alone = self.increment(None if leapt else scan.odometry, scan.heading)
+    def _apart(self, t: float | None) -> float:
+        """How long a scan at `t` may be after the last [s]: bursts of a log that was buffered are no faster scanner."""
+        if t is None or self._t is None:
+            self._t = t
+            return np.inf
+        since, self._t = max(t - self._t, 0.0), t
+        self._usual = since if self._usual == 0.0 else self._usual + APART_LEARNED * (since - self._usual)
+        return max(since, self._usual)
+
+    def advance(self, scan: Scan, b: Beams, *, leapt: bool = False, t: float | None = None) -> ScanInfo:
+        """`poses` has one more: where the robot was at the scan.
+
+        leapt: its odometry was set anew, tells nothing. t: when the scan was taken [s]; None: nobody knows.
+        """
+        u, sd, alone = self.increment(None if leapt else scan.odometry, scan.heading, self._apart(t))
         self.heading = scan.heading
         if not self._wheels_stand(scan.odometry):
             self._stood = None

@@ -141,7 +141,7 @@ def step(
         state.lines.append(state.particles.odometry.lines)
         state.cuts.append(_cut(state.borders, event.t, scan, matched, state.particles.odometry.step, leapt=leapt))
         return state, info
-    info = state.odometry.advance(scan, b, leapt=leapt)
+    info = state.odometry.advance(scan, b, leapt=leapt, t=event.t)
     cut = _cut(state.borders, event.t, scan, info, state.odometry.step, leapt=leapt)
     state.unneeded = _grow(state, cfg, len(state.scans) - 1, _keyframe(state.odometry.maker, event.t, b, cut))
     for row in state.unneeded:

@@ -118,7 +118,7 @@ def ways(
             if matched:
                 front = ScanOdometry(cfg.front_end)
                 for k in stretch:
-                    front.advance(log.scans[k], returns[k])
+                    front.advance(log.scans[k], returns[k], t=float(log.scan_t[k]))
                 way = np.array(front.poses.array)
             else:
                 way = np.array([log.scans[k].odometry for k in stretch], float)

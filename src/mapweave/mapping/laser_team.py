@@ -132,7 +132,7 @@ class LaserTeam:
         """
         track = self.tracks[j]
         b = self._without_teammates(j, t, beams(scan, "none", None, self.cfg.beams), scan)
-        track.advance(scan, b)
+        track.advance(scan, b, t=t)
         local = track.local
         keyframe = track.keyframe(t, b)
         if keyframe is not None:
