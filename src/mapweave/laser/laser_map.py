@@ -121,9 +121,9 @@ class ScanRecords:
     t: (n,) [s]; host: who wrote it; pose: (n, 3) in the track's frame; innovation: (n, 3), matched pose seen from the
     pose odometry predicted [m, m, rad]; beams: returns in the scan; matches: returns that found a partner;
     decision: "first", "matched", "odometry" (the gate or too few matches refused the match), "skipped" (the robot
-    had hardly moved) or "empty" (no returns); n_eff: effective number of particles, NaN where no weights changed;
-    resampled: (n,); information: (n, 3, 3), of each pose seen from the one before [1/m^2, 1/rad^2], where the method
-    gives it (row 0 tells nothing).
+    had hardly moved), "unseen" (it looked elsewhere than before, so that odometry was taken) or "empty" (no returns);
+    n_eff: effective number of particles, NaN where no weights changed; resampled: (n,); information: (n, 3, 3), of each
+    pose seen from the one before [1/m^2, 1/rad^2], where the method gives it (row 0 tells nothing).
     """
 
     t: Float[np.ndarray, " n"]
@@ -191,7 +191,7 @@ class LaserMap:
         return tuple(f.text for f in self.findings)
 
 
-DECISIONS = ("first", "empty", "odometry", "matched", "skipped")
+DECISIONS = ("first", "empty", "odometry", "matched", "skipped", "unseen")
 
 
 class ScanInfos:

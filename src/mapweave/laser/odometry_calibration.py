@@ -670,14 +670,14 @@ def _standard_errors(fit: OdometryFit, free: Bool[np.ndarray, "8"], spacing: flo
     from scipy.stats import t as student  # noqa: PLC0415
 
     n = len(fit.score)
-    most = np.sqrt(np.diag(fit.cov))
+    most = np.sqrt(np.maximum(np.diag(fit.cov), 0.0))
     for count in (n, *(b for b in BLOCKS if 2 * b <= n)):
         blocks = np.array([part.sum(axis=0) for part in np.array_split(fit.score, count)])
         told = np.array([part.sum(axis=0) for part in np.array_split(fit.told, count)])
         speak = told.sum(axis=0) ** 2 / np.maximum((told**2).sum(axis=0), 1e-300)  # blocks that tell of each
         spread = fit.mixing @ (blocks.T @ blocks * count / (count - 1)) @ fit.mixing.T
         wider = student.ppf(0.99865, np.maximum(speak - 1.0, 2.0)) / 3.0
-        most = np.maximum(most, np.sqrt(np.diag(spread)) * wider)
+        most = np.maximum(most, np.sqrt(np.maximum(np.diag(spread), 0.0)) * wider)
     systematic = _with(SYSTEMATIC, LAG, max(float(SYSTEMATIC[LAG]), BETWEEN_ROWS * spacing))
     return np.where(free, np.hypot(most, systematic), np.inf)
 

@@ -37,6 +37,9 @@ WIDE_REACH = 0.1  # [m] a return this near its line counts there, on the coarse 
 WIDE_TRIES = 3  # rotations, those that most returns match, which are refined
 WIDE_TURN = 0.15  # [rad] standard deviation of the turn there, at least
 WIDE_UNDER = 0.65  # share of returns matched under which rotations are tried
+WIDE_LOSS = (
+    0.04  # share of the returns that a match must win for each of ln(1 + squared sd it lies from the prediction)
+)
 PAST = 0.55  # of a cell, or
 PAST_SD = 0.75  # sd of what odometry may err by: so far past the end of a wall that was seen a return may be of it
 FRONT_END_REACH = 0.1  # [m] a return this near its line counts as matched
@@ -66,7 +69,7 @@ class FrontEndConfig:
     keyframes: int = 60  # scans the local map holds
     keyframe_turn: float = 0.4  # [rad] beyond which a keyframe is new, whatever was driven
     alpha: float = 1.0  # [m^2 per q^2] what a difference in the feature counts
-    neff: float = 60.0  # a scan counts as so many independent returns
+    neff: float = 60.0  # a scan counts as so many independent returns, at most all it has
     tangent: float = 0.1  # weight of the error along the line, with a feature
     sd_xy: float = 0.03  # [m] + sd_xy_per_m d: how far odometry may err in a step
     sd_xy_per_m: float = 0.3  # and so much more a metre driven
@@ -90,6 +93,19 @@ class ScanMatch(NamedTuple):
     innovation: Float[np.ndarray, "3"]
     matches: int
     beams: int
+
+
+def better(match: ScanMatch, other: ScanMatch, sd: Float[np.ndarray, "3"]) -> ScanMatch:
+    """Of two matches of a scan the one that more returns bear out, less what its distance from odometry costs.
+
+    A view of what was not seen before matches nowhere, and anywhere a little better than where it is. sd: (3,) that
+    odometry may err by.
+    """
+
+    def borne_out(m: ScanMatch) -> float:
+        return m.matches - WIDE_LOSS * m.beams * math.log1p(float(np.sum((m.innovation / sd) ** 2)))
+
+    return other if borne_out(other) > borne_out(match) else match
 
 
 class _Keyframe(NamedTuple):
@@ -130,13 +146,14 @@ class FrontEnd:
                 self._count(self.coarse, FRONT_END_COARSE, b, predicted + np.array([0, 0, a]), WIDE_REACH)
                 for a in turns
             ]
+            best = ScanMatch(pose, H, se2.between(predicted, pose), matches, n)
             for k in np.argsort(scores, kind="stable")[::-1][:WIDE_TRIES]:
                 tried = self._refine(
                     b, predicted + np.array([0, 0, turns[k]]), predicted, np.maximum(sd, [0, 0, WIDE_TURN])
                 )
                 count = self._count(self.fine, FRONT_END_FINE, b, tried[0], FRONT_END_REACH)
-                if count > matches:
-                    (pose, H, _), matches = tried, count
+                best = better(best, ScanMatch(tried[0], tried[1], se2.between(predicted, tried[0]), count, n), sd)
+            return best
         return ScanMatch(pose, H, se2.between(predicted, pose), matches, n)
 
     def match_alone(
@@ -217,13 +234,17 @@ class FrontEnd:
             self.fine,
             FRONT_END_FINE,
             _points(b, c.alpha),
-            MatchCost(c.alpha, FRONT_END_AGREE, c.neff / FRONT_END_SIGMA**2, 0.0, FRONT_END_KAPPA, math.inf),
+            MatchCost(c.alpha, FRONT_END_AGREE, self._whole(b), 0.0, FRONT_END_KAPPA, math.inf),
             pose,
             pose,
             held,
             1,
         )
         return np.asarray(H - np.diag(held**-2.0))
+
+    def _whole(self, b: Beams) -> float:
+        """What all returns of a scan together tell across one wall [1/m^2]."""
+        return min(self.cfg.neff, len(b.q)) / FRONT_END_SIGMA**2
 
     def _by_directions(self, b: Beams, last: Float[np.ndarray, "3"]) -> Float[np.ndarray, "k 3"]:
         """Poses about the last one at which the scan's walls face where those of the local map do."""
@@ -249,7 +270,7 @@ class FrontEnd:
         fine = MatchCost(
             c.alpha,
             FRONT_END_AGREE,
-            c.neff / FRONT_END_SIGMA**2,
+            self._whole(b),
             self.tangent,
             FRONT_END_KAPPA,
             max(least * FRONT_END_FINE, past),

@@ -29,6 +29,7 @@ from .scan_matching import (
     FrontEndConfig,
     ScanMatch,
     allowed_sd,
+    better,
 )
 from .wheel_worth import WheelWorth
 
@@ -90,8 +91,38 @@ def blended(
     return np.asarray(out)
 
 
+SEEN_LEAST = 0.5  # of a scan's returns lie where the robot looked before, or nothing of it need match,
+BEAMS_LEAST = 0.1  # nor where fewer of its beams come back:
+ELSEWHERE = 3.0  # sd from where odometry puts it that a match is believed then
+VIEW_TURNED = 0.2  # of its sector that a scan may be turned from the last in the local map, and not be put there
 STILL = 1e-6  # [m] and [rad] that wheels which report no motion differ by
 NO_INNOVATION = np.zeros(3)
+
+
+class View(NamedTuple):
+    """Where a scan's beams go, whether they come back or not.
+
+    beams: how many; sensor: (3,) its pose on the robot; first, wide: [rad] of its sector; far: [m] it reaches.
+    """
+
+    beams: int
+    sensor: Float[np.ndarray, "3"]
+    first: float
+    wide: float
+    far: float
+
+    def share_of(self, points: Float[np.ndarray, "n 2"]) -> float:
+        """The share of points [m] on the robot that lie in it."""
+        seen = se2.act(se2.inverse(self.sensor), points)
+        ahead = (np.arctan2(seen[:, 1], seen[:, 0]) - self.first) % (2.0 * np.pi)
+        return float(np.mean((ahead <= self.wide) & (np.hypot(seen[:, 0], seen[:, 1]) <= self.far)))
+
+
+def view_of(scan: Scan) -> View:
+    wide = scan.angle_increment * (len(scan.ranges) - 1)
+    return View(
+        len(scan.ranges), scan.T_robot_sensor, scan.angle_min + min(wide, 0.0), abs(wide), float(scan.range_max)
+    )
 
 
 class Increment(NamedTuple):
@@ -112,6 +143,9 @@ def inside(innovation: Float[np.ndarray, "3"], eps: Float[np.ndarray, "3"]) -> b
     return bool(allowed.all())
 
 
+Gate = Callable[[Float[np.ndarray, "3"]], Float[np.ndarray, "3"]] | None
+
+
 class ScanOdometry:
     """A trajectory through all scans that drifts but never jumps. It belongs to one state, which `advance` changes.
 
@@ -127,7 +161,7 @@ class ScanOdometry:
         cfg: FrontEndConfig,
         *,
         feature: str = "none",
-        gate: Callable[[Float[np.ndarray, "3"]], Float[np.ndarray, "3"]] | None = None,
+        gate: Gate = None,
         matching: bool = True,
         tell_lines: bool = False,
         worth: WheelWorth | None = None,
@@ -147,6 +181,8 @@ class ScanOdometry:
         self.heading: float | None = None
         self._t: float | None = None  # of the latest scan [s]
         self._usual = 0.0  # time from scan to scan [s]
+        self._view = View(0, np.zeros(3), 0.0, 0.0, 0.0)  # of the latest scan
+        self._looked = (np.zeros(3), self._view)  # from where, and at what, with the latest in the local map
         self._stood: np.ndarray | None = None  # where it was when the wheels moved last, while they report nothing
         self.lines = np.zeros((3, 3))
 
@@ -219,14 +255,32 @@ class ScanOdometry:
             self._stood = self.pose
         self.odometry = None if scan.odometry is None else np.array(scan.odometry, float)
         self.lines = np.zeros((3, 3))
-        n = len(b.q)
+        self._view, n = view_of(scan), len(b.q)
         if not len(self.poses):
+            if VIEW_TURNED * self._view.wide < self.cfg.keyframe_turn:
+                self.cfg = replace(self.cfg, keyframe_turn=VIEW_TURNED * self._view.wide)
+                self.front_end = self._local_map()
             return self._accept(b, np.zeros(3), ScanInfo(NO_INNOVATION, n, 0, "first", information=np.zeros((3, 3))))
         predicted = se2.compose(self.poses[-1], u)
         if n < FRONT_END_LEAST_BEAMS or not self.matching:
             decision = "odometry" if n >= FRONT_END_LEAST_BEAMS else "empty"
             info = ScanInfo(NO_INNOVATION, n, 0, decision, information=np.diag(sd**-2.0))
             return self._accept(b, predicted, info)
+        gate = None if alone or scan.odometry is None else self.gate
+        match, decision = self._placed(b, predicted, Increment(u, sd, alone), gate)
+        accepted = decision == "matched"
+        if accepted and self.tell_lines:
+            self.lines = self.front_end.information(b, match.pose)
+        match = self._learn(match, u, predicted, alone=alone or decision == "unseen")
+        information = match.information if accepted else np.diag(sd**-2.0)
+        info = ScanInfo(match.innovation, match.beams, match.matches, decision, information=information)
+        return self._accept(b, match.pose if accepted else predicted, info)
+
+    def _placed(
+        self, b: Beams, predicted: Float[np.ndarray, "3"], told: Increment, gate: Gate
+    ) -> tuple[ScanMatch, str]:
+        """The match of a scan, and whether it is "matched", or "odometry" or the view was "unseen"."""
+        u, sd, alone = told
         for fe in (self.front_end, self._anew):
             if fe is None:
                 break
@@ -236,19 +290,18 @@ class ScanOdometry:
                 self.front_end = fe
                 break
         self._anew = None if accepted or self.gate is not None else self._local_map()
-        if accepted and self.gate is not None and scan.odometry is not None and not alone:
-            accepted = inside(match.innovation, self.gate(sd))
-        if accepted and self.tell_lines:
-            self.lines = self.front_end.information(b, match.pose)
-        match = self._learn(match, u, predicted, alone=alone)
-        info = ScanInfo(
-            match.innovation,
-            match.beams,
-            match.matches,
-            "matched" if accepted else "odometry",
-            information=match.information if accepted else np.diag(sd**-2.0),
-        )
-        return self._accept(b, match.pose if accepted else predicted, info)
+        elsewhere = not alone and self._looks_elsewhere(b, predicted)
+        if gate is not None:
+            accepted = accepted and inside(match.innovation, gate(sd))
+        if elsewhere:
+            accepted = accepted and inside(match.innovation, ELSEWHERE * sd)
+        return match, "matched" if accepted else "unseen" if elsewhere else "odometry"
+
+    def _looks_elsewhere(self, b: Beams, predicted: Float[np.ndarray, "3"]) -> bool:
+        """Whether odometry turned the view away from what the local map shows, so that nothing need match."""
+        pose, view = self._looked
+        few = len(b.s) < BEAMS_LEAST * self._view.beams
+        return few or view.share_of(se2.act(se2.between(pose, predicted), b.s)) < SEEN_LEAST
 
     def _match(self, fe: Matcher, b: Beams, predicted: np.ndarray, u: np.ndarray, sd: np.ndarray) -> ScanMatch:
         """A scan against the local map from where wheels put it; where few match, good ones may have slipped."""
@@ -256,7 +309,7 @@ class ScanOdometry:
         if self.worth is None or match.matches >= WIDE_UNDER * match.beams:
             return match
         of_any: ScanMatch = fe.match(b, predicted, allowed_sd(u, self.cfg))
-        return of_any if of_any.matches > match.matches else match
+        return better(match, of_any, sd)
 
     def _learn(
         self, match: ScanMatch, u: Float[np.ndarray, "3"], predicted: Float[np.ndarray, "3"], *, alone: bool
@@ -283,7 +336,8 @@ class ScanOdometry:
             self.step = se2.between(self.poses[-1], pose)
         self.poses.append(pose)
         if self.matching and len(b.q) >= FRONT_END_LEAST_BEAMS:
-            self.front_end.insert(b, pose)
+            if self.front_end.insert(b, pose):
+                self._looked = (np.array(pose, float), self._view)
             if self._anew is not None:
                 self._anew.insert(b, pose)
         return info

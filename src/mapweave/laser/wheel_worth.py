@@ -4,6 +4,7 @@ Poor wheels hold a robot nowhere; good ones hold it along a corridor in which sc
 against rooms that look alike.
 """
 
+from bisect import insort
 from collections.abc import Callable
 
 import numpy as np
@@ -20,6 +21,8 @@ STEP_WIDE = 1.5  # times what steps tell, whose errors have tails
 CAREFUL = 1.5  # times what windows tell, errors over longer ways being alike
 LEAST, MOST = 0.2, 1.0  # of what any wheels may err by, that these are believed to
 PROVEN = 0.5  # of what any wheels may err by over longer ways, under which they are better than matches of few returns
+SELDOM = 0.25  # of the steps: where fewer are held in every direction, as in a narrow view, the median of all counts
+MEDIAN = 0.6745  # of the size of a number that is normal with sd 1
 FEW = (0.5, 0.65)  # shares of the returns that match, which part scans in those of few matches, of some and of many
 
 
@@ -40,6 +43,21 @@ class Spread:
         return float(np.clip(careful * np.sqrt(self.squares / self.n), LEAST, MOST))
 
 
+class Median:
+    """As `Spread`, by the median size of the numbers: a few that are wrong, however wrong, hardly change it."""
+
+    def __init__(self) -> None:
+        self.sizes = [MEDIAN] * int(ANY)
+
+    def see(self, z: float) -> None:
+        """One more number."""
+        insort(self.sizes, z)
+
+    def of(self, careful: float) -> float:
+        """The standard deviation that it tells of numbers that are normal, else as `Spread`."""
+        return float(np.clip(careful * self.sizes[len(self.sizes) // 2] / MEDIAN, LEAST, MOST))
+
+
 class WheelWorth:
     """What is known of one robot's wheels so far. `see` changes it.
 
@@ -49,6 +67,7 @@ class WheelWorth:
     def __init__(self, noise: Callable[[Float[np.ndarray, "3"]], Float[np.ndarray, "3 3"]]) -> None:
         self._noise = noise
         self._step, self._step_turn, self._way, self._turn = Spread(), Spread(), Spread(), Spread()
+        self._any = Median(), Median(), Median()  # of all steps, held or not: ahead, aside, turn
         self._off = [(Spread(), Spread()) for _ in range(len(FEW) + 1)]  # of places and headings, by share
         self.interrupted()
 
@@ -60,6 +79,8 @@ class WheelWorth:
     @property
     def step(self) -> Float[np.ndarray, "3"]:
         """What a step may err by in x, y, theta, over what that of any wheels may."""
+        if self._step.n < SELDOM * len(self._any[0].sizes):
+            return np.array([median.of(STEP_WIDE) for median in self._any])
         xy, turn = self._step.of(STEP_WIDE), self._step_turn
         return np.array([xy, xy, min(max(turn.of(STEP_WIDE), turn.most), MOST)])  # wheels that slipped will slip again
 
@@ -109,6 +130,8 @@ class WheelWorth:
         moves = moved[0] > DRIVES or moved[1] > TURNS
         if moves:  # a heading is told by any wall
             self._step_turn.see(float(abs(innovation[2]) / sd[2]))
+            for median, z in zip(self._any, np.abs(innovation) / sd, strict=True):
+                median.see(float(z))
         held = lines[:2, :2] - np.outer(lines[:2, 2], lines[:2, 2]) / max(lines[2, 2], 1e-9)
         if np.linalg.eigvalsh(held)[0] < HOLDS * whole:
             self.interrupted()

@@ -105,7 +105,7 @@ class Borders:
         moved = (size > [STILL, STILL_TURN]).any()
         if not pause and len(self._steps) < 10 * LEARNED:
             self._steps.append(size)
-        if info.decision in {"first", "empty"}:
+        if info.decision in {"first", "empty", "unseen"}:
             return ""
         if info.decision != "matched":
             return REFUSED

@@ -42,6 +42,7 @@ WHY = {
     "odometry": "the gate or too few matches refused the match: odometry was taken",
     "skipped": "the robot had hardly moved: nothing was added to the map",
     "empty": "the scan had no return",
+    "unseen": "the robot looked where it had not looked before: odometry was taken",
 }
 
 ODOMETRY = {"poses": "as poses", "ticks": "from wheel ticks", "tf": "from tf"}

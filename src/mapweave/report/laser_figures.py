@@ -16,7 +16,7 @@ from ..mapping.woven_map import ClosureRow
 from .scene import Scene
 from .style import LANDMARK, MUTED, SEQUENTIAL, TRUTH, as_map, colour, figure
 
-DECISIONS = {"matched": 0, "odometry": 5, "skipped": 4, "empty": 3}  # decision -> colour
+DECISIONS = {"matched": 0, "odometry": 5, "skipped": 4, "empty": 3, "unseen": 2}  # decision -> colour
 MOST_LAYERS = 12  # robots with a switch of their own below the map
 MOST_Q = 1.0  # of the colour scale
 READABLE: Any = {"frameon": True, "framealpha": 0.85, "edgecolor": "none"}  # a legend over data
