@@ -194,23 +194,18 @@ def _refined(
     """Each of `X` (x, y, theta, bias) moved to a minimum of the Cauchy cost nearby; costs and informations there."""
 
     def normal(X: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        arm = np.einsum("hij,kj->hki", se2.rotation(X[:, 2]), p)
-        d = X[:, None, :2] + arm - q
-        r = np.hypot(d[..., 0], d[..., 1])
-        u = d / np.maximum(r, 1e-6)[..., None]
+        arm = se2.rotation(X[:, 2]) @ p.T
+        d = X[:, :2, None] + arm - q.T
+        r = np.hypot(d[:, 0], d[:, 1])
+        J = np.ones((len(X), 4, len(z)))
+        J[:, :2] = u = d / np.maximum(r, 1e-6)[:, None]
+        J[:, 2] = u[:, 1] * arm[:, 0] - u[:, 0] * arm[:, 1] if turns else 0.0
+        J /= sd
         e = (r + X[:, 3:] - z) / sd
-        J = (
-            np.concatenate(
-                [u, (u[..., 1] * arm[..., 0] - u[..., 0] * arm[..., 1])[..., None], np.ones_like(u[..., :1])], -1
-            )
-            / sd
-        )
-        if not turns:
-            J[..., 2] = 0.0
         w = 1.0 / (1.0 + np.square(e) / KERNEL**2)
         cost = KERNEL**2 * np.log1p(np.square(e) / KERNEL**2).sum(axis=1) + np.square(X[:, 3] / BIAS_SD)
-        H = np.einsum("hk,hki,hkj->hij", w, J, J)
-        g = np.einsum("hk,hki->hi", w * e, J)
+        wJ = J * w[:, None]
+        H, g = wJ @ J.swapaxes(1, 2), (wJ @ e[..., None])[..., 0]
         H[:, 3, 3] += 1.0 / BIAS_SD**2
         g[:, 3] += X[:, 3] / BIAS_SD**2
         if not turns:
