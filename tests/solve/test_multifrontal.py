@@ -45,6 +45,10 @@ def test_factor_solution_pivots_and_selected_inverse_equal_dense_algebra(block):
         b = rng.normal(size=(len(dense), 2))
         np.testing.assert_allclose(chol.solve(b), dense @ b, atol=1e-9, err_msg=name)
         np.testing.assert_allclose(chol.solve(b[:, 0]), dense @ b[:, 0], atol=1e-9, err_msg=name)
+        some = b * (rng.random(b.shape) < 0.02)  # nearly all zeros, which are passed over
+        np.testing.assert_allclose(chol.solve(some), dense @ some, atol=1e-9, err_msg=name)
+        want = [float(c @ dense @ c) for c in np.hstack([b, some]).T]
+        np.testing.assert_allclose(chol.squares(np.hstack([b, some])), want, atol=1e-9, err_msg=name)
         index = np.arange(n * block).reshape(n, block)
         want = np.stack([dense[np.ix_(r, r)] for r in index])
         np.testing.assert_allclose(chol.blocks(index), want, atol=1e-9, err_msg=name)
@@ -74,6 +78,8 @@ def test_information_reads_the_same_from_either_factor():
     apart = np.array([[0, 599], [7, 300]])
     np.testing.assert_allclose(tree.blocks(apart), plain.blocks(apart), atol=1e-11)
     assert tree.logdet() == pytest.approx(plain.logdet())
+    b = rng.normal(size=(600, 3))
+    np.testing.assert_allclose(tree.squares(b), plain.squares(b), rtol=1e-9)
 
 
 def little_fill(H, group, last=0):

@@ -363,19 +363,8 @@ class Cholesky:
 
     def solve(self, b: np.ndarray) -> np.ndarray:
         """`matrix^-1 b` for b (n,) or (n, c)."""
-        e = self.elimination
-        x = np.array(np.reshape(b, (e.size, -1 if e.size else 1)).T, dtype=float, order="C")
-        runs = list(e.runs()) if x.size else []
-        for a, c in runs:
-            if e.large[a]:
-                (L11, L21), (own, others) = self.panels(a), e.front(a)
-                y = dtrsm(1.0, L11, x[:, own].T, lower=1)
-                x[:, own] = y.T
-                if len(others):
-                    x[:, others] -= (L21 @ y).T
-            else:
-                forward_fronts(a, c, e.begin, e.own, e.index, e.panel, self.L, x)
-        for a, c in reversed(runs):
+        e, x = self.elimination, self._forward(b)
+        for a, c in reversed(list(e.runs()) if x.size else []):
             if e.large[a]:
                 (L11, L21), (own, others) = self.panels(a), e.front(a)
                 y = x[:, own].T
@@ -385,6 +374,25 @@ class Cholesky:
             else:
                 backward_fronts(a, c, e.begin, e.own, e.index, e.panel, self.L, x)
         return np.ascontiguousarray(x.T).reshape(np.shape(b))
+
+    def squares(self, b: Float[np.ndarray, "n c"]) -> Float[np.ndarray, " c"]:
+        """`b^T matrix^-1 b` of each column of b: half the work of `solve`, less where a column is mostly zero."""
+        return np.asarray(np.square(self._forward(b)).sum(axis=1))
+
+    def _forward(self, b: np.ndarray) -> Float[np.ndarray, "c n"]:
+        """`L^-1 b` for b (n,) or (n, c), a row for each column."""
+        e = self.elimination
+        x = np.array(np.reshape(b, (e.size, -1 if e.size else 1)).T, dtype=float, order="C")
+        for a, c in e.runs() if x.size else ():
+            if e.large[a]:
+                (L11, L21), (own, others) = self.panels(a), e.front(a)
+                y = dtrsm(1.0, L11, x[:, own].T, lower=1)
+                x[:, own] = y.T
+                if len(others):
+                    x[:, others] -= (L21 @ y).T
+            else:
+                forward_fronts(a, c, e.begin, e.own, e.index, e.panel, self.L, x)
+        return x
 
     def together(self, index: Int[np.ndarray, "b k"]) -> bool:
         """Whether the variables of each row are eliminated in one front, so that `blocks` can answer."""

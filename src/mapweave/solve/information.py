@@ -298,6 +298,12 @@ class Information:
         """`matrix^-1 b` for b (n,) or (n, c)."""
         return np.asarray(self.factor.solve(np.ascontiguousarray(b, dtype=float)))
 
+    def squares(self, b: Float[np.ndarray, "n c"]) -> Float[np.ndarray, " c"]:
+        """`b^T matrix^-1 b` of each column of b."""
+        if isinstance(self.factor, Cholesky):
+            return self.factor.squares(b)
+        return np.asarray((b * self.solve(b)).sum(axis=0))
+
     def pivots(self) -> Float[np.ndarray, " n"]:
         """The pivots of elimination: all positive exactly when the matrix is positive definite."""
         own = isinstance(self.factor, Cholesky | BlockCholesky)

@@ -127,8 +127,7 @@ def taken_out(
         pull = sp.csr_matrix((np.concatenate([np.zeros(0), *pulls]), at), shape=shape)[chosen][:, free]
         total += float(np.sum(pull @ c[free]))
         for a in range(0, len(chosen), CHUNK):
-            u = pull[a : a + CHUNK].toarray()
-            missing += float(np.sum(u * information.solve(u.T).T))
+            missing += float(information.squares(pull[a : a + CHUNK].toarray().T).sum())
     return min(missing / total, MOST_TAKEN) if total > 0 else 0.0
 
 
