@@ -168,7 +168,7 @@ def _shifts(z: MutualSightings, heading: Float[np.ndarray, " k"], cfg: PlacingCo
     weight = np.ones_like(across)
     for _ in range(PLACING_ROUNDS):
         a, b = weight * w_r, weight / sd_b**2
-        A = np.einsum("km,kmi,kmj->kij", a, ray, ray) + np.einsum("km,kmi,kmj->kij", b, side, side)
+        A = (ray * a[..., None]).swapaxes(1, 2) @ ray + (side * b[..., None]).swapaxes(1, 2) @ side
         A += np.eye(2) / FARTHEST**2
         g = np.einsum("km,kmi->ki", a * along, ray) + np.einsum("km,kmi->ki", b * across, side)
         t = np.linalg.solve(A, g[..., None])[..., 0]
