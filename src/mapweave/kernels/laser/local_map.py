@@ -153,12 +153,14 @@ def nearest_cell(
     for a in range(-1, 2):
         for b in range(-1, 2):
             iy, ix = (jy + a) & mask, (jx + b) & mask
+            if lines[iy, ix, 2] * nx + lines[iy, ix, 3] * ny < agree:  # as in most cells, which are empty
+                continue
             dx = ox - b * cell - lines[iy, ix, 0]
             dy = oy - a * cell - lines[iy, ix, 1]
             dq = q - lines[iy, ix, 4]
             away = dx * dx + dy * dy
             d = away + alpha * dq * dq
-            if d >= 1e6 or lines[iy, ix, 2] * nx + lines[iy, ix, 3] * ny < agree:
+            if d >= 1e6:
                 continue
             if away < nearest:
                 nearest, along = away, abs(lines[iy, ix, 3] * dx - lines[iy, ix, 2] * dy)
