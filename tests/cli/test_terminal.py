@@ -202,11 +202,12 @@ def test_compiling_is_told_when_it_compiles_and_only_then(monkeypatch, capsys):
 
 
 @pytest.mark.slow
-def test_a_kernel_that_is_kept_is_not_compiled_again(tmp_path):
+def test_a_kernel_that_is_kept_is_not_compiled_again_and_no_garbage_is_looked_for_meanwhile(tmp_path):
     code = (
-        "import sys\nfrom mapweave.kernels.compiling import compiling_told\nfrom mapweave.kernels._jit import kernel\n"
-        "sys.path.insert(0, sys.argv[1])\nfrom twice import twice\n"
-        "told = []\nwith compiling_told(told.append): twice(2.0)\nprint(told)"
+        "import gc, sys\nfrom mapweave.kernels.compiling import compiling_told\n"
+        "from mapweave.kernels._jit import kernel\nsys.path.insert(0, sys.argv[1])\nfrom twice import twice\n"
+        "told = []\nwith compiling_told(lambda now: told.append((now, gc.isenabled()))): twice(2.0)\n"
+        "print(told, gc.isenabled())"
     )
     (tmp_path / "twice.py").write_text(
         "from mapweave.kernels._jit import kernel\n\n\n@kernel\ndef twice(x):\n    return 2 * x\n"
@@ -214,7 +215,7 @@ def test_a_kernel_that_is_kept_is_not_compiled_again(tmp_path):
     env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     words = [sys.executable, "-c", code, str(tmp_path)]
     told = [subprocess.run(words, env=env, capture_output=True, text=True, check=True).stdout for _ in range(2)]  # noqa: S603
-    assert told == ["[True, False]\n", "[]\n"]
+    assert told == ["[(True, False), (False, False)] True\n", "[] True\n"]
 
 
 @pytest.mark.parametrize(

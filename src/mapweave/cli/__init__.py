@@ -9,7 +9,8 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from ..core.version import __version__
-from .terminal import FlowingHelp, Interruption, nothing_collected, warn
+from ..kernels.compiling import nothing_collected
+from .terminal import FlowingHelp, Interruption, warn
 
 if TYPE_CHECKING:
     from cyclopts import App

@@ -20,7 +20,8 @@ from cyclopts import Parameter
 
 from ..core.config_text import own_meanings
 from ..core.errors import VerdictError
-from .terminal import nothing_collected, progress, say, until_interrupted
+from ..kernels.compiling import nothing_collected
+from .terminal import progress, say, until_interrupted
 
 PACKAGE = Path(__file__).parent.parent
 PLAIN: dict[str, Any] = {

@@ -4,7 +4,6 @@ Progress goes to stderr: bars on a terminal, elsewhere a line every half minute.
 code that swallows exceptions, as a compiler's callbacks do.
 """
 
-import gc
 import math
 import signal
 import sys
@@ -31,18 +30,6 @@ if TYPE_CHECKING:
 AGAIN = 0.1  # [s] after which an interruption that was swallowed is asked for again
 QUIET = 30.0  # [s] between two lines of progress where there is no terminal
 COMPILING = "compiling (first run only)"
-
-
-@contextmanager
-def nothing_collected() -> "Iterator[None]":
-    """What is imported within all stays: to look through it again and again is a sixth of the time."""
-    collects = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if collects:
-            gc.enable()
 
 
 def say(line: str = "") -> None:

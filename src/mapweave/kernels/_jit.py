@@ -9,6 +9,7 @@ import numba
 from numba.core.types.misc import unliteral
 
 from ._cache import KernelCache
+from .compiling import nothing_collected
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -67,6 +68,7 @@ def _cached(dispatcher: Any, fn: F, options: str) -> F:
     """The dispatcher with a cache of its own; `fn` itself, which has none, where Numba compiles nothing."""
     if dispatcher is not fn:
         dispatcher._cache = KernelCache(fn, options)  # noqa: SLF001
+        dispatcher.compile = nothing_collected()(dispatcher.compile)
     return dispatcher  # type: ignore[no-any-return]
 
 
