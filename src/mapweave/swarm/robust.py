@@ -12,6 +12,7 @@ from math import erf, sqrt
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ..core.attitude import headings, matrices
 from ..core.gaussian import chi2_quantile
 from ..solve import GemanMcClure, SingularError
 from . import bearing, factors
@@ -22,7 +23,7 @@ from .factors import bearing_factor
 from .network import BearingNetwork, components, effective_sigma
 from .posterior import CLOSE, doubtful_warnings, fallen_warnings, posterior, support_warnings, trust_warnings
 from .result import SwarmEstimate
-from .start import SwarmStart, linear_pattern, linear_start, mutual_pairs, prepare
+from .start import SwarmStart, linear_pattern, linear_start, mutual_pairs, prepare, triads
 
 ROBUST_REWEIGHTS = 12  # of the start of least unsquared deviations
 ROBUST_COOLING = 1.6  # by which the kernel's width is divided at each stage
@@ -31,6 +32,8 @@ ROBUST_RESELECTIONS = 3  # of the sightings that agree, at most
 ROBUST_SUSPECT = 0.3  # share of a robot's sightings that disagree from which on it may stand at a wrong place
 ROBUST_RELOCATIONS = 3  # rounds of putting suspects elsewhere, since they may be neighbours
 CROSSINGS_OF = 40  # sightings of one robot whose crossings are tried: 780 pairs
+TURNED_AT = 60  # places of a robot at which it is turned by its own sightings: those that others contradict least
+LEAST_SINE = 0.1  # of the angle between two sightings that tell a turn
 
 FALLEN_HOPS = 3  # sightings away from the two, beyond which robots are held while one sighting is left out
 FALLEN_FEW = 4000  # sightings up to which all are asked, not only those of hardly known length
@@ -44,29 +47,35 @@ FALLEN_LIKELY = 0.015  # probability of being wrong from which on a sighting may
 ROBUST_INLIER_GATE = 3.5  # standard deviations a sighting may miss by and count as an inlier
 
 
-def relocated(net: BearingNetwork, position: Float[np.ndarray, "n d"], limit: float) -> Float[np.ndarray, "n d"]:
-    """`position`, robots with many sightings beyond `limit` (squared, whitened) put where fewer are.
+def relocated(net: BearingNetwork, x: Float[np.ndarray, " s"], limit: float) -> Float[np.ndarray, " s"]:
+    """The state `x`, robots with many sightings beyond `limit` (squared, whitened) put, and turned, as fewer are.
 
     Each is moved to the crossing of two of its rays with the least sum of squared residuals cut off at `limit`, if that
-    is less than where it stands. Robots of which few sightings disagree, and anchors, stay. Common axes are assumed.
+    is less than where it stands. Without a common axis its rays are what others see of it and what it sees as it is
+    turned; at each place it may be turned as each two of its own sightings (in the plane each one) say. Robots of which
+    few sightings disagree stay, as do the places of anchors.
     """
-    p = np.array(position, dtype=float)
-    order = np.argsort(np.concatenate([net.observer, net.target]), kind="stable")
-    ends = np.searchsorted(np.concatenate([net.observer, net.target])[order], np.arange(len(net) + 1))
+    position, heading = factors.parted(net, x)
+    p, R = np.array(position), None if heading is None else matrices(np.array(heading))
+    both = np.concatenate([net.observer, net.target])
+    order = np.argsort(both, kind="stable")
+    ends = np.searchsorted(both[order], np.arange(len(net) + 1))
     factor = bearing_factor(net)
     for _ in range(ROBUST_RELOCATIONS):
-        wrong = factor.squares(p.ravel()) > limit
-        share = _share(net, wrong)
-        suspects = np.flatnonzero((share > ROBUST_SUSPECT) & ~net.is_anchor)
+        x = factors.state(p, None if R is None else headings(R))
+        share = _share(net, factor.squares(x) > limit)
+        suspects = np.flatnonzero((share > ROBUST_SUSPECT) & ~(net.is_anchor & net.axis))
         moved = False
         for k in suspects[np.argsort(-share[suspects], kind="stable")].tolist():
             rows = order[ends[k] : ends[k + 1]] % len(net.observer)
-            better = _best_crossing(net, p, k, rows[:CROSSINGS_OF], limit)
+            better = _better_pose(net, p, R, k, rows[:CROSSINGS_OF], limit)
             if better is not None:
-                p[k], moved = better, True
+                p[k], moved = better[0], True
+                if R is not None:
+                    R[k] = better[1]
         if not moved:
             break
-    return p
+    return factors.state(p, None if R is None else headings(R))
 
 
 def unsupported(net: BearingNetwork, outlier: Bool[np.ndarray, " m"]) -> Int[np.ndarray, " k"]:
@@ -89,41 +98,92 @@ def _share(net: BearingNetwork, wrong: Bool[np.ndarray, " m"]) -> Float[np.ndarr
     return np.asarray(np.bincount(both[np.concatenate([wrong, wrong])], minlength=len(net)) / np.maximum(count, 1))
 
 
-def _best_crossing(
-    net: BearingNetwork, p: Float[np.ndarray, "n d"], k: int, rows: Int[np.ndarray, " r"], limit: float
-) -> Float[np.ndarray, " d"] | None:
-    """The crossing of two rays of robot k at which its sightings `rows` cost least; None where none beats its place."""
-    other = np.where(net.observer[rows] == k, net.target[rows], net.observer[rows])
-    u = net.direction[rows]
-    across = np.eye(net.dim) - u[:, :, None] * u[:, None, :]
-    pulled = np.einsum("rab,rb->ra", across, p[other])
-    i, j = np.triu_indices(len(rows), 1)
-    A = across[i] + across[j]
-    crossing = np.linalg.det(A) > 1e-4  # of rays that are not parallel
-    i, j, A = i[crossing], j[crossing], A[crossing]
-    if not len(i):
-        return None
-    tried = np.linalg.solve(A, (pulled[i] + pulled[j])[..., None])[..., 0]
-    costs = _costs(net, k, rows, p[other], np.vstack([p[k], tried]), limit)
+def _better_pose(
+    net: BearingNetwork,
+    p: Float[np.ndarray, "n d"],
+    R: Float[np.ndarray, "n d d"] | None,
+    k: int,
+    rows: Int[np.ndarray, " r"],
+    limit: float,
+) -> tuple[Float[np.ndarray, " d"], Float[np.ndarray, "d d"]] | None:
+    """Place and turn of robot k at which its sightings `rows` cost least; None where none beats those it has."""
+    own = net.observer[rows] == k
+    other = p[np.where(own, net.target[rows], net.observer[rows])]
+    turn = np.eye(net.dim) if R is None else R[k]
+    seen = net.direction[rows] if R is None else np.einsum("rab,rb->ra", R[net.observer[rows]], net.direction[rows])
+    places = p[k][None]
+    if k not in net.anchors:
+        places = np.concatenate([places, _crossings(other, seen)])
+        if R is not None:
+            places = np.concatenate([places, _sides(other, seen, own)])
+    away = np.where(own, 1.0, -1.0)[:, None] * (other - places[:, None, :])  # (c, r, d) along what is to be seen
+    sigma = net.sigma[rows]
+    costs = _costs(away, seen, sigma, limit)
     best = int(np.argmin(costs))
-    return None if best == 0 or costs[best] > costs[0] - limit else tried[best - 1]
+    at, least, found = best, costs[best], turn
+    if R is not None and own.any():
+        told = _costs(away[:, ~own], seen[~own], sigma[~own], limit)
+        for c in np.argsort(told, kind="stable")[:TURNED_AT].tolist():
+            turns = _turns(away[c, own], net.direction[rows[own]])
+            tried = np.einsum("hab,rb->hra", turns, net.direction[rows[own]])
+            both = told[c] + _costs(np.broadcast_to(away[c, own], tried.shape), tried, sigma[own], limit)
+            h = int(np.argmin(both, axis=0)) if len(turns) else -1
+            if h >= 0 and both[h] < least:
+                at, least, found = c, both[h], turns[h]
+    return None if least > costs[0] - limit else (places[at], found)
+
+
+def _crossings(other: Float[np.ndarray, "r d"], seen: Float[np.ndarray, "r d"]) -> Float[np.ndarray, "c d"]:
+    """Where each two rays along `seen` through `other` cross that are not parallel."""
+    across = np.eye(other.shape[1]) - seen[:, :, None] * seen[:, None, :]
+    pulled = np.einsum("rab,rb->ra", across, other)
+    i, j = np.triu_indices(len(other), 1)
+    A = across[i] + across[j]
+    crossing = np.linalg.det(A) > 1e-4
+    i, j, A = i[crossing], j[crossing], A[crossing]
+    return np.asarray(np.linalg.solve(A, (pulled[i] + pulled[j])[..., None])[..., 0])
+
+
+def _sides(
+    other: Float[np.ndarray, "r d"], seen: Float[np.ndarray, "r d"], own: Bool[np.ndarray, " r"]
+) -> Float[np.ndarray, "c d"]:
+    """Where a robot stands along what others see of it, that sees them and a third under the angle it does.
+
+    Of the triangle of both others and the robot one side is known and all angles are: however it is turned.
+    """
+    there, here = np.flatnonzero(~own), np.flatnonzero(own)
+    e, a, b = (k.ravel() for k in np.meshgrid(there, here, here, indexing="ij"))
+    same = (other[e] == other[a]).all(axis=1) & (a != b)
+    e, a, b = e[same], a[same], b[same]
+    side = other[b] - other[e]
+    length = np.linalg.norm(side, axis=1)
+    cosine = np.einsum("cd,cd->c", side, seen[e]) / np.maximum(length, bearing.TINY)
+    there_, here_ = np.arccos(np.clip(cosine, -1.0, 1.0)), np.arccos(np.clip(np.einsum("cd,cd->c", seen[a], seen[b]), -1.0, 1.0))
+    far = length * np.sin(there_ + here_) / np.maximum(np.sin(here_), bearing.TINY)
+    right = (far > 0.0) & (np.sin(here_) > LEAST_SINE)
+    return (other[e] + far[:, None] * seen[e])[right]
+
+
+def _turns(u: Float[np.ndarray, "r d"], b: Float[np.ndarray, "r d"]) -> Float[np.ndarray, "h d d"]:
+    """Turns that carry what a robot sees in its own axes (b) onto where it is (u), by each two rows, or one."""
+    if u.shape[1] == 2:
+        aside = np.array([[0.0, 1.0], [-1.0, 0.0]])
+        F, E = (np.stack([x, x @ aside], axis=-1) for x in (u / np.linalg.norm(u, axis=1, keepdims=True), b))
+        return F @ E.swapaxes(1, 2)
+    u = u / np.maximum(np.linalg.norm(u, axis=1, keepdims=True), bearing.TINY)
+    i, j = np.triu_indices(len(u), 1)
+    (F, near), (E, far) = triads(u[i], u[j]), triads(b[i], b[j])
+    return (F @ E.swapaxes(1, 2))[np.minimum(near, far) > LEAST_SINE]
 
 
 def _costs(
-    net: BearingNetwork,
-    k: int,
-    rows: Int[np.ndarray, " r"],
-    other: Float[np.ndarray, "r d"],
-    places: Float[np.ndarray, "c d"],
-    limit: float,
-) -> Float[np.ndarray, " c"]:
-    """The squared residuals of the sightings `rows`, each cut off at `limit`, with robot k at each of `places`."""
-    away = np.where(net.observer[rows] == k, 1.0, -1.0)[:, None] * (other - places[:, None, :])
-    seen = net.direction[rows]
-    along = np.einsum("crd,rd->cr", away, seen)
-    across = np.linalg.norm(away - along[..., None] * seen, axis=2)
-    miss = np.arctan2(across, along) / net.sigma[rows]
-    return np.asarray(np.minimum(miss * miss, limit).sum(axis=1))
+    away: Float[np.ndarray, "*h r d"], seen: Float[np.ndarray, "*r d"], sigma: Float[np.ndarray, " r"], limit: float
+) -> Float[np.ndarray, " h"]:
+    """The squared residuals of sightings along `seen` where the way is `away`, each cut off at `limit`, summed."""
+    along = np.einsum("...rd,...rd->...r", away, seen)
+    across = np.linalg.norm(away - along[..., None] * seen, axis=-1)
+    miss = np.arctan2(across, along) / sigma
+    return np.asarray(np.minimum(miss * miss, limit).sum(axis=-1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -364,8 +424,7 @@ def robust(net: BearingNetwork, cfg: SwarmConfig, initial: np.ndarray | None = N
     if initial is None and net.axis:  # directions turned wrongly would draw all robots together
         start = replace(start, position=unsquared_start(kept, start))
     x = graduated(kept, start, cfg)
-    if net.axis:
-        x = relocated(kept, x.reshape(len(net), net.dim), outlier_limit(net, ROBUST_INLIER_GATE)).ravel()
+    x = relocated(kept, x, outlier_limit(net, ROBUST_INLIER_GATE))
     inlier = agreeing(net, x, ROBUST_INLIER_GATE) & ~without_heading(net, used)
     if not inlier.any():
         return _nothing_agrees(net, cfg, initial)

@@ -294,8 +294,8 @@ def relative_turns(
         F, E = (np.stack([x, x @ aside], axis=-1) for x in (u[a], v[b]))
         return net.observer[a], net.target[a], F @ E.swapaxes(1, 2), own
     pair, ik, jk = _thirds(net, a, b)
-    F, near = _triads(u[a][pair], u[ik])
-    E, far = _triads(v[b][pair], u[jk])
+    F, near = triads(u[a][pair], u[ik])
+    E, far = triads(v[b][pair], u[jk])
     sigma = np.maximum(net.sigma, ROUNDED)
     variance = (sigma[ik] / near) ** 2 + (sigma[jk] / far) ** 2
     aside = variance < ON_LINE**2
@@ -331,7 +331,7 @@ def _thirds(
     return pair[both], ik[both], order[where[both]]
 
 
-def _triads(
+def triads(
     u: Float[np.ndarray, "v 3"], w: Float[np.ndarray, "v 3"]
 ) -> tuple[Float[np.ndarray, "v 3 3"], Float[np.ndarray, " v"]]:
     """Axes along u, across it towards w, and across both, in columns; and the sine between u and w."""
