@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from mapweave.core.gaussian import chi2_quantile
+from mapweave.sim.swarm import SwarmScene, simulate_swarm
 from mapweave.swarm import alternatives
 from mapweave.swarm.alternatives import _Dense, _outside, doubts, hypotheses_near
 from mapweave.swarm.batch import batch
 from mapweave.swarm.config import ALTERNATIVES_DOUBT, SwarmConfig
 from mapweave.swarm.locate import locate
 
-from .swarms import PAPER, complete, simulated, small
+from .swarms import PAPER, as_network, complete, simulated, small
 
 ROBUST = SwarmConfig(method="robust")
 
@@ -68,6 +69,21 @@ def test_a_robot_that_two_sightings_place_is_doubted_and_one_that_many_place_is_
     outside = doubts(lone, ~none_wrong(lone), batch(lone, SwarmConfig()))
     assert outside[5] > ALTERNATIVES_DOUBT
     assert outside[:5].max() < ALTERNATIVES_DOUBT
+    assert doubts(net, ~none_wrong(net), batch(net, SwarmConfig())).max() < ALTERNATIVES_DOUBT
+
+
+def test_in_space_without_axes_a_robot_that_may_be_elsewhere_is_doubted_and_one_that_many_place_is_not():
+    scene = SwarmScene(robots=5, dim=3, axis=False, sigma=np.radians(0.5), visibility="mutual", outliers=0.1)
+    swarm = simulate_swarm(scene, np.random.default_rng([103, 28]))
+    net = as_network(swarm.table, swarm.position[0], (0, 1, 2))
+    found = locate(net, ROBUST)
+    outside = doubts(net, ~found.outlier, found)
+    assert outside[3] > ALTERNATIVES_DOUBT
+    assert outside[4] < ALTERNATIVES_DOUBT
+    assert any("elsewhere (probability): 4 (" in w for w in found.warnings)
+    scene = replace(scene, outliers=0.0)
+    swarm = simulate_swarm(scene, np.random.default_rng([103, 28]))
+    net = as_network(swarm.table, swarm.position[0], (0, 1, 2))
     assert doubts(net, ~none_wrong(net), batch(net, SwarmConfig())).max() < ALTERNATIVES_DOUBT
 
 

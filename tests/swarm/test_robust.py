@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 
+from mapweave.core.attitude import angles, headings, matrices
+from mapweave.sim.swarm import SwarmScene, simulate_swarm
 from mapweave.swarm.config import SwarmConfig
+from mapweave.swarm.factors import parted, state
 from mapweave.swarm.locate import locate
 from mapweave.swarm.robust import mutual_agreement, relocated, unsupported
 
-from .swarms import PAPER, complete, score, simulated
+from .swarms import PAPER, as_network, complete, score, simulated
 
 ROBUST = SwarmConfig(method="robust")
 
@@ -105,9 +108,47 @@ def test_a_robot_at_a_wrong_crossing_is_put_where_most_of_its_sightings_meet(dim
     free = np.flatnonzero(~net.is_anchor)[:3]
     off = truth.copy()
     off[free] += 7.0
-    found = relocated(net, off, 3.5**2)
+    found = relocated(net, off.ravel(), 3.5**2).reshape(truth.shape)
     assert np.linalg.norm(found - truth, axis=1)[free].max() < 0.5
-    np.testing.assert_array_equal(relocated(net, truth, 3.5**2)[free], truth[free])
+    np.testing.assert_array_equal(relocated(net, truth.ravel(), 3.5**2).reshape(truth.shape)[free], truth[free])
+
+
+@pytest.mark.parametrize(("dim", "visibility"), [(2, "mutual"), (3, "mutual"), (3, "directed")])
+def test_a_robot_with_axes_of_its_own_is_put_and_turned_where_most_of_its_sightings_meet(dim, visibility):
+    net, truth = simulated(5, robots=64, dim=dim, axis=False, visibility=visibility, outliers=0.1)
+    swarm = simulate_swarm(
+        SwarmScene(robots=64, dim=dim, axis=False, visibility=visibility, outliers=0.1, sigma=np.radians(0.5)),
+        np.random.default_rng(5),
+    )
+    R = matrices(swarm.heading[0])
+    free, anchor = np.flatnonzero(~net.is_anchor)[:3], next(iter(net.anchors))
+    off, turned = truth.copy(), R.copy()
+    off[free] += 7.0
+    turned[[*free, anchor]] = turned[[*free, anchor]].swapaxes(1, 2)
+    found, heading = parted(net, relocated(net, state(off, headings(turned)), 15.0))
+    assert np.linalg.norm(found - truth, axis=1)[free].max() < 1.0
+    assert np.degrees(angles(matrices(heading), R)).max() < 10.0
+    np.testing.assert_array_equal(found[anchor], truth[anchor])
+
+
+@pytest.mark.parametrize(("seed", "dim"), [(0, 2), (1, 2), (0, 3), (14, 3)])
+def test_wrong_sightings_leave_no_robot_at_a_wrong_place_where_no_axis_is_common(seed, dim):
+    scene = SwarmScene(robots=27, dim=dim, axis=False, sigma=np.radians(0.5), visibility="mutual", outliers=0.1)
+    swarm = simulate_swarm(scene, np.random.default_rng([12, seed]))
+    net, truth = as_network(swarm.table, swarm.position[0], swarm.corners), swarm.position[0]
+    found = locate(net, SwarmConfig(method="robust"))
+    assert found.localisable.all()
+    assert found.reliable
+    assert np.linalg.norm(found.position - truth, axis=1).max() < 1.0
+
+
+def test_few_robots_that_a_wrong_sighting_turns_start_from_parts_of_the_sightings_too():
+    scene = SwarmScene(robots=5, dim=3, axis=False, sigma=np.radians(0.5), visibility="mutual", outliers=0.1)
+    for seed in (40, 132):
+        swarm = simulate_swarm(scene, np.random.default_rng([99, seed]))
+        truth = swarm.position[0]
+        found = locate(as_network(swarm.table, truth, (0, 1, 2)), SwarmConfig(method="robust"))
+        assert np.linalg.norm(found.position - truth, axis=1).max() < 0.5
 
 
 def test_robots_whose_right_sightings_do_not_outnumber_the_wrong_are_named():

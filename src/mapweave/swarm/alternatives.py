@@ -72,8 +72,6 @@ def doubts(net: BearingNetwork, inlier: Bool[np.ndarray, " m"], estimate: SwarmE
     none = np.zeros(len(net))
     if estimate.cov is None or len(net.observer) > ALTERNATIVES_MOST or not np.any(net.sigma > 0):
         return none
-    if net.dim == 3 and not net.axis:  # turns in space add no more than nearby
-        return none
     held = _held(net, estimate)
     free = estimate.localisable & ~held.is_anchor
     if len(held.anchors) < 1 or not free.any():
@@ -293,8 +291,9 @@ class _Dense:
             g, H = normal(x)
             scale, damped = _scaled(H + np.diag(loose), damping)
             step = scale * np.linalg.solve(damped, (scale * g)[..., None])[..., 0]
-            there = x.copy()
-            there[:, self.free] -= step
+            turn = np.zeros_like(x)
+            turn[:, self.free] = -step
+            there = factors.retract(copies, x.ravel(), turn.ravel()).reshape(x.shape)
             now = cost(there)
             better = now <= chi2
             gained = np.where(better, chi2 - now, 0.0)

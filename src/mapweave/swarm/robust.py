@@ -2,8 +2,8 @@
 
 Two robots that saw each other must have seen opposite directions; least unsquared deviations start the positions,
 graduated non-convexity (Geman-McClure) finds which sightings belong together, robots that fell in with wrong ones are
-put where most of theirs meet, and those sightings alone are then used as by the batch estimator, so that the covariance
-means what it says.
+put, and turned, where most of theirs meet, and few robots without a common axis start from parts of their sightings,
+too. Those sightings alone are then used as by the batch estimator, so that the covariance means what it says.
 """
 
 from dataclasses import dataclass, replace
@@ -13,12 +13,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..core.attitude import headings, matrices
+from ..core.errors import DataError, EstimateError
 from ..core.gaussian import chi2_quantile
 from ..solve import GemanMcClure, SingularError
 from . import bearing, factors
 from .alternatives import doubts as alternatives
 from .batch import batch, refine
-from .config import ALTERNATIVES_DOUBT, MUTUAL_GATE, SwarmConfig
+from .config import ALTERNATIVES_DOUBT, ALTERNATIVES_MOST, MUTUAL_GATE, SwarmConfig
 from .factors import bearing_factor
 from .network import BearingNetwork, components, effective_sigma
 from .posterior import CLOSE, doubtful_warnings, fallen_warnings, posterior, support_warnings, trust_warnings
@@ -33,6 +34,9 @@ ROBUST_SUSPECT = 0.3  # share of a robot's sightings that disagree from which on
 ROBUST_RELOCATIONS = 3  # rounds of putting suspects elsewhere, since they may be neighbours
 CROSSINGS_OF = 40  # sightings of one robot whose crossings are tried: 780 pairs
 TURNED_AT = 60  # places of a robot at which it is turned by its own sightings: those that others contradict least
+PARTS = 12  # of the sightings of a small network, from which it is started anew
+PARTS_SHARE = 0.7  # of the sightings in each
+WORTH_MOVING = 0.5  # of the limit that a robot's sightings must cost less elsewhere
 LEAST_SINE = 0.1  # of the angle between two sightings that tell a turn
 
 FALLEN_HOPS = 3  # sightings away from the two, beyond which robots are held while one sighting is left out
@@ -109,7 +113,7 @@ def _better_pose(
     """Place and turn of robot k at which its sightings `rows` cost least; None where none beats those it has."""
     own = net.observer[rows] == k
     other = p[np.where(own, net.target[rows], net.observer[rows])]
-    turn = np.eye(net.dim) if R is None else R[k]
+    sigma, mine = net.sigma[rows], net.direction[rows[own]]
     seen = net.direction[rows] if R is None else np.einsum("rab,rb->ra", R[net.observer[rows]], net.direction[rows])
     places = p[k][None]
     if k not in net.anchors:
@@ -117,20 +121,20 @@ def _better_pose(
         if R is not None:
             places = np.concatenate([places, _sides(other, seen, own)])
     away = np.where(own, 1.0, -1.0)[:, None] * (other - places[:, None, :])  # (c, r, d) along what is to be seen
-    sigma = net.sigma[rows]
     costs = _costs(away, seen, sigma, limit)
     best = int(np.argmin(costs))
-    at, least, found = best, costs[best], turn
+    at, least, turn = best, costs[best], np.eye(net.dim) if R is None else R[k]
     if R is not None and own.any():
-        told = _costs(away[:, ~own], seen[~own], sigma[~own], limit)
-        for c in np.argsort(told, kind="stable")[:TURNED_AT].tolist():
-            turns = _turns(away[c, own], net.direction[rows[own]])
-            tried = np.einsum("hab,rb->hra", turns, net.direction[rows[own]])
-            both = told[c] + _costs(np.broadcast_to(away[c, own], tried.shape), tried, sigma[own], limit)
-            h = int(np.argmin(both, axis=0)) if len(turns) else -1
-            if h >= 0 and both[h] < least:
-                at, least, found = c, both[h], turns[h]
-    return None if least > costs[0] - limit else (places[at], found)
+        by_others = _costs(away[:, ~own], seen[~own], sigma[~own], limit)
+        for c in np.argsort(by_others, kind="stable")[:TURNED_AT].tolist():
+            turns = _turns(away[c, own], mine)
+            if len(turns):
+                tried = np.einsum("hab,rb->hra", turns, mine)
+                cost = by_others[c] + _costs(np.broadcast_to(away[c, own], tried.shape), tried, sigma[own], limit)
+                h = int(np.argmin(cost))
+                if cost[h] < least:
+                    at, least, turn = c, cost[h], turns[h]
+    return None if least > costs[0] - WORTH_MOVING * limit else (places[at], turn)
 
 
 def _crossings(other: Float[np.ndarray, "r d"], seen: Float[np.ndarray, "r d"]) -> Float[np.ndarray, "c d"]:
@@ -147,33 +151,33 @@ def _crossings(other: Float[np.ndarray, "r d"], seen: Float[np.ndarray, "r d"]) 
 def _sides(
     other: Float[np.ndarray, "r d"], seen: Float[np.ndarray, "r d"], own: Bool[np.ndarray, " r"]
 ) -> Float[np.ndarray, "c d"]:
-    """Where a robot stands along what others see of it, that sees them and a third under the angle it does.
+    """Where a robot stands on the ray of one that sees it, if it sees that one and a third under the angle it does.
 
-    Of the triangle of both others and the robot one side is known and all angles are: however it is turned.
+    Of the triangle of these three one side and all angles are known, however the robot is turned.
     """
-    there, here = np.flatnonzero(~own), np.flatnonzero(own)
-    e, a, b = (k.ravel() for k in np.meshgrid(there, here, here, indexing="ij"))
-    same = (other[e] == other[a]).all(axis=1) & (a != b)
-    e, a, b = e[same], a[same], b[same]
-    side = other[b] - other[e]
+    ray, a, b = (k.ravel() for k in np.meshgrid(np.flatnonzero(~own), *2 * [np.flatnonzero(own)], indexing="ij"))
+    mutual = (other[ray] == other[a]).all(axis=1) & (a != b)
+    ray, a, b = ray[mutual], a[mutual], b[mutual]
+    side = other[b] - other[ray]
     length = np.linalg.norm(side, axis=1)
-    cosine = np.einsum("cd,cd->c", side, seen[e]) / np.maximum(length, bearing.TINY)
-    there_, here_ = np.arccos(np.clip(cosine, -1.0, 1.0)), np.arccos(np.clip(np.einsum("cd,cd->c", seen[a], seen[b]), -1.0, 1.0))
-    far = length * np.sin(there_ + here_) / np.maximum(np.sin(here_), bearing.TINY)
-    right = (far > 0.0) & (np.sin(here_) > LEAST_SINE)
-    return (other[e] + far[:, None] * seen[e])[right]
+    at_ray = np.einsum("cd,cd->c", side, seen[ray]) / np.maximum(length, bearing.TINY)
+    there = np.arccos(np.clip(at_ray, -1.0, 1.0))
+    here = np.arccos(np.clip(np.einsum("cd,cd->c", seen[a], seen[b]), -1.0, 1.0))
+    far = length * np.sin(there + here) / np.maximum(np.sin(here), LEAST_SINE)
+    told = (far > 0.0) & (np.sin(here) > LEAST_SINE)
+    return np.asarray((other[ray] + far[:, None] * seen[ray])[told])
 
 
 def _turns(u: Float[np.ndarray, "r d"], b: Float[np.ndarray, "r d"]) -> Float[np.ndarray, "h d d"]:
-    """Turns that carry what a robot sees in its own axes (b) onto where it is (u), by each two rows, or one."""
+    """Turns that carry what a robot sees in its own axes (b) onto where it is (along u), by each two rows, or one."""
+    u = u / np.maximum(np.linalg.norm(u, axis=1, keepdims=True), bearing.TINY)
     if u.shape[1] == 2:
         aside = np.array([[0.0, 1.0], [-1.0, 0.0]])
-        F, E = (np.stack([x, x @ aside], axis=-1) for x in (u / np.linalg.norm(u, axis=1, keepdims=True), b))
-        return F @ E.swapaxes(1, 2)
-    u = u / np.maximum(np.linalg.norm(u, axis=1, keepdims=True), bearing.TINY)
+        F, E = (np.stack([x, x @ aside], axis=-1) for x in (u, b))
+        return np.asarray(F @ E.swapaxes(1, 2))
     i, j = np.triu_indices(len(u), 1)
     (F, near), (E, far) = triads(u[i], u[j]), triads(b[i], b[j])
-    return (F @ E.swapaxes(1, 2))[np.minimum(near, far) > LEAST_SINE]
+    return np.asarray((F @ E.swapaxes(1, 2))[np.minimum(near, far) > LEAST_SINE])
 
 
 def _costs(
@@ -423,8 +427,9 @@ def robust(net: BearingNetwork, cfg: SwarmConfig, initial: np.ndarray | None = N
     kept = net.select(used)
     if initial is None and net.axis:  # directions turned wrongly would draw all robots together
         start = replace(start, position=unsquared_start(kept, start))
-    x = graduated(kept, start, cfg)
-    x = relocated(kept, x, outlier_limit(net, ROBUST_INLIER_GATE))
+    x = _settled(kept, start, cfg)
+    if initial is None and not net.axis and len(kept.observer) <= ALTERNATIVES_MOST:
+        x = _from_parts(kept, x, cfg)
     inlier = agreeing(net, x, ROBUST_INLIER_GATE) & ~without_heading(net, used)
     if not inlier.any():
         return _nothing_agrees(net, cfg, initial)
@@ -446,6 +451,35 @@ def robust(net: BearingNetwork, cfg: SwarmConfig, initial: np.ndarray | None = N
     doubts += doubtful_warnings(net, outside, ALTERNATIVES_DOUBT)
     doubts += [*trust_warnings(net, ~inlier), *support_warnings(net, unsupported(net, ~inlier))]
     return replace(estimate, reliable=estimate.reliable and not doubts, warnings=(*doubts, *estimate.warnings))
+
+
+def _settled(net: BearingNetwork, start: SwarmStart, cfg: SwarmConfig) -> Float[np.ndarray, " s"]:
+    """The state that most sightings agree with, from `start`, robots that fell in with wrong ones put elsewhere."""
+    return relocated(net, graduated(net, start, cfg), outlier_limit(net, ROBUST_INLIER_GATE))
+
+
+def _from_parts(net: BearingNetwork, x: Float[np.ndarray, " s"], cfg: SwarmConfig) -> Float[np.ndarray, " s"]:
+    """The best of `x` and what starts from parts of the sightings, drawn at random, lead to.
+
+    Few robots have a start that one wrong sighting turns; some of the parts are without it.
+    """
+    limit = outlier_limit(net, ROBUST_INLIER_GATE)
+    factor, rng = bearing_factor(net), np.random.default_rng(0)
+
+    def cost(x: Float[np.ndarray, " s"]) -> float:
+        return float(np.minimum(factor.squares(x), limit).sum())
+
+    least = cost(x)
+    for _ in range(PARTS if (factor.squares(x) > limit).any() else 0):
+        rows = rng.random(len(net.observer)) < PARTS_SHARE
+        try:
+            part = prepare(net.select(rows))
+            tried = _settled(net, prepare(net, part.position, part.heading), cfg)
+        except (DataError, EstimateError):
+            continue
+        if cost(tried) < least:
+            x, least = tried, cost(tried)
+    return x
 
 
 def _selected(
