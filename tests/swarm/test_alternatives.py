@@ -8,7 +8,7 @@ import pytest
 from mapweave.core.gaussian import chi2_quantile
 from mapweave.sim.swarm import SwarmScene, simulate_swarm
 from mapweave.swarm import alternatives
-from mapweave.swarm.alternatives import _Dense, _outside, doubts, hypotheses_near
+from mapweave.swarm.alternatives import Dense, _outside, doubts, hypotheses_near
 from mapweave.swarm.batch import batch
 from mapweave.swarm.config import ALTERNATIVES_DOUBT, SwarmConfig
 from mapweave.swarm.locate import locate
@@ -25,7 +25,7 @@ def none_wrong(net):
 def test_the_first_hypothesis_is_the_answer_itself_with_its_covariance():
     net = complete(PAPER, 1.0, np.random.default_rng(0), anchors=(0, 1))
     found = batch(net, SwarmConfig())
-    hypotheses = hypotheses_near(_Dense.of(net, found), none_wrong(net))
+    hypotheses = hypotheses_near(Dense.of(net, found), none_wrong(net))
     assert not hypotheses.wrong[0].any()
     np.testing.assert_allclose(hypotheses.x[0].reshape(5, 2), found.position, atol=1e-4)
     cov = hypotheses.cov[0].reshape(5, 2, 5, 2)
@@ -36,7 +36,7 @@ def test_the_first_hypothesis_is_the_answer_itself_with_its_covariance():
 def test_the_evidence_of_leaving_one_out_is_the_density_of_its_direction_given_all_others():
     net = complete(PAPER, 0.2, np.random.default_rng(1), anchors=(0, 1))
     found = batch(net, SwarmConfig())
-    problem = _Dense.of(net, found)
+    problem = Dense.of(net, found)
     row, m = 13, len(net.observer)
     without = none_wrong(net)
     without[row] = True
@@ -96,7 +96,7 @@ def test_a_wrong_sighting_kept_in_place_of_a_right_one_is_found_by_swapping_them
     called = none_wrong(net)
     called[7] = True  # a right one
     found = batch(net.select(~called), SwarmConfig())
-    hypotheses = hypotheses_near(_Dense.of(net, found), called)
+    hypotheses = hypotheses_near(Dense.of(net, found), called)
     assert np.flatnonzero(hypotheses.wrong[np.argmax(hypotheses.evidence)]).tolist() == [bad]
     assert doubts(net, ~called, found).max() > 0.9
 

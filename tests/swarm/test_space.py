@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import mapweave
 from mapweave.core.attitude import about, angles, headings, matrices, nearest, turned
+from mapweave.core.bearings import BearingTable
 from mapweave.core.errors import DataError
 from mapweave.evaluation.swarm import similarity
 from mapweave.sim.swarm import SwarmScene, simulate_swarm
@@ -142,6 +144,69 @@ def test_robots_in_one_plane_are_located_and_those_on_a_line_are_told():
     line = np.arange(8.0)[:, None] * np.array([1.0, 2.0, 0.5])
     with pytest.raises(DataError, match="third one off their line"):
         locate(standing(line, anchors=(0, 7)))
+
+
+EVERYONE = [(i, j) for i in range(6) for j in range(6) if i != j]  # but robot 6
+
+
+def seeing(seen, seed=1000, by=()):
+    """Six robots that see each other, three of them known, and a seventh that sees `seen` and is seen `by` some."""
+    places = np.random.default_rng(seed).uniform(-10, 10, (7, 3))
+    pairs = [*EVERYONE, *((6, k) for k in seen), *((k, 6) for k in by)]
+    return standing(places, anchors=(0, 1, 2), pairs=pairs), places
+
+
+@pytest.mark.parametrize(("method", "seed"), [("batch", 1000), ("batch", 1001), ("robust", 1000)])
+def test_a_robot_that_sees_three_stands_at_one_of_the_answers_and_all_are_told(method, seed):
+    net, places = seeing((0, 1, 2), seed)
+    found = locate(net, SwarmConfig(method=method))
+    assert found.localisable.all()
+    assert not found.reliable
+    assert len(found.others) == 1
+    off = [np.linalg.norm(p - places, axis=1) for p in (found.position, found.others[0].position)]
+    assert min(o[6] for o in off) < 0.5
+    assert max(o[6] for o in off) > 10.0
+    assert max(o[:6].max() for o in off) < 0.5
+    assert found.others[0].chi2 == pytest.approx(found.chi2, abs=0.1)
+    assert "another answer fits the sightings about as well" in found.warnings[0]
+    assert ": 6 (" in found.warnings[0]
+
+
+def test_one_more_sighting_leaves_one_answer_and_a_chi_square_far_larger_is_none():
+    for net, places in (seeing((0, 1, 2, 3)), seeing((0, 1, 2), by=(0,))):
+        found = locate(net)
+        assert found.others == ()
+        assert found.reliable
+        assert np.linalg.norm(found.position - places, axis=1).max() < 0.5
+
+
+def test_of_answers_the_best_is_given_whatever_the_start():
+    net, places = seeing((0, 1, 2, 3))
+    three = net.select(~((net.observer == 6) & (net.target == 3)))
+    away = next(
+        one.position for one in (locate(three), *locate(three).others) if abs(one.position - places)[6].max() > 5
+    )
+    found = locate(net, initial=away)
+    assert np.linalg.norm(found.position - places, axis=1).max() < 0.5
+
+
+def test_other_answers_are_written_beside_the_positions(tmp_path):
+    net, _ = seeing((0, 1, 2))
+    table = BearingTable(net.ids, net.observer, net.target, net.direction, net.sigma, None, axis=False)
+    known = {net.ids[k]: p for k, p in net.anchors.items()}
+    result = mapweave.locate(table, tmp_path / "out", anchors=known, axis=False)
+    lines = (tmp_path / "out" / "others.csv").read_text().splitlines()
+    assert lines[0] == "answer,chi2,id,x,y,z,rx,ry,rz"
+    assert len(lines) == 8
+    last = lines[-1].split(",")
+    assert last[0] == "2"
+    assert last[2] == "6"
+    np.testing.assert_allclose([float(v) for v in last[3:6]], result.estimate.others[0].position[6], rtol=1e-6)
+    assert result.metrics["others"] == 1
+    alone, _ = seeing((0, 1, 2, 3))
+    table = BearingTable(alone.ids, alone.observer, alone.target, alone.direction, alone.sigma, None, axis=False)
+    mapweave.locate(table, tmp_path / "out", anchors=known, axis=False)
+    assert not (tmp_path / "out" / "others.csv").exists()
 
 
 def test_a_robot_that_sees_others_on_one_line_has_its_place_and_the_missing_turn_is_told():

@@ -15,7 +15,7 @@ from ..core.errors import DataError, UsageError
 from ..core.version import __version__
 from ..evaluation.swarm import StandingScore, StandingSwarm, SwarmScore
 from ..io.directory import write_json
-from ..io.positions import track_files, write_network, write_positions, write_track
+from ..io.positions import track_files, write_network, write_others, write_positions, write_track
 from ..io.sightings import Dropped, SwarmTruth, read_sightings, read_swarm_truth
 from ..io.table import Table, write_table
 from ..io.team_bearings import read_team_truth
@@ -286,6 +286,7 @@ class Located(ResultBase):
             "null_space": e.null_space,
             "not_localisable": list(e.not_localisable),
             "reliable": e.reliable,
+            "others": len(e.others),
             "weak_anchors": e.weak_anchors,
             "mode_share": e.mode_share,
             "outliers": int(e.outlier.sum()),
@@ -338,7 +339,9 @@ class Located(ResultBase):
         front.draw(target, *sides)
 
     def write_into(self, out: Path) -> None:
-        """positions.csv, network.npz, metrics.json, report.html, figures/ and, for stamped sightings, trajectories/."""
+        """positions.csv, others.csv where others fit as well, network.npz, metrics.json, report.html, figures/ and, for
+        stamped sightings, trajectories/.
+        """
         self.write_data(out)
         write_network_report(out, self.story(), self.lines(), self.metrics)
 
@@ -348,6 +351,8 @@ class Located(ResultBase):
         write_positions(
             out / "positions.csv", e.ids, e.position, e.cov, e.localisable, seen, wild, e.heading, e.heading_var
         )
+        if e.others:
+            write_others(out / "others.csv", e.ids, e.others)
         scored = standing_swarm(self.network, e)
         write_network(out / "network.npz", scored.pairs, scored.information)
         t = self.given.table.t

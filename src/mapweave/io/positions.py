@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from ..core.attitude import TURNS, Headings
 from ..core.errors import ReaderError
 from ..swarm.moving.result import RobotTrajectory
-from ..swarm.result import JointInformation
+from ..swarm.result import JointInformation, OtherAnswer
 from .npz import Spec, read_npz, write_npz
 from .table import Table, read_table, write_table
 
@@ -64,6 +64,17 @@ def write_positions(
         head += [*TURNS[d], *(f"var_{name}" for name in TURNS[d])]
         columns += np.column_stack([heading, variance]).T.tolist()
     write_table(path, head, zip(*columns, strict=True))
+
+
+def write_others(path: Path, ids: Sequence[str], others: Sequence[OtherAnswer]) -> None:
+    """`answer,chi2,id,x,y,z,rx,ry,rz`: answers that fit about as well, from 2 on; `positions.csv` is the first."""
+    head = ["answer", "chi2", "id", *"xyz", *TURNS[3]]
+    rows = [
+        (number, one.chi2, name, *place, *turn)
+        for number, one in enumerate(others, 2)
+        for name, place, turn in zip(ids, one.position.tolist(), one.heading.tolist(), strict=True)
+    ]
+    write_table(path, head, rows)
 
 
 def write_track(

@@ -77,14 +77,14 @@ def doubts(net: BearingNetwork, inlier: Bool[np.ndarray, " m"], estimate: SwarmE
     if len(held.anchors) < 1 or not free.any():
         return none
     try:
-        none[free] = _asked(_Dense.of(held, estimate), ~inlier, estimate, free)
+        none[free] = _asked(Dense.of(held, estimate), ~inlier, estimate, free)
     except np.linalg.LinAlgError:  # a covariance that is none: nothing may be believed of it
         none[free] = 1.0
     return none
 
 
 def _asked(
-    problem: "_Dense",
+    problem: "Dense",
     wrong: Bool[np.ndarray, " m"],
     estimate: SwarmEstimate,
     free: Bool[np.ndarray, " n"],
@@ -105,7 +105,7 @@ def _asked(
     return np.asarray((weight[:, None] * outside).sum(axis=0) / weight.sum())
 
 
-def hypotheses_near(problem: "_Dense", wrong: Bool[np.ndarray, " m"]) -> Hypotheses:
+def hypotheses_near(problem: "Dense", wrong: Bool[np.ndarray, " m"]) -> Hypotheses:
     """The hypotheses near the one that calls the sightings `wrong` so, which comes first."""
     tried = {wrong.tobytes()}
     hypotheses = problem.solved(wrong[None, :])
@@ -166,7 +166,7 @@ def _held(net: BearingNetwork, estimate: SwarmEstimate) -> BearingNetwork:
 
 
 @dataclass(frozen=True, slots=True)
-class _Dense:
+class Dense:
     """A small network for dense algebra: many sets of sightings are solved side by side."""
 
     net: BearingNetwork
@@ -175,7 +175,7 @@ class _Dense:
     extent: float  # [m] within which a robot is expected
 
     @classmethod
-    def of(cls, net: BearingNetwork, estimate: SwarmEstimate) -> "_Dense":
+    def of(cls, net: BearingNetwork, estimate: SwarmEstimate) -> "Dense":
         w = factors.width(net)
         x = estimate.position if estimate.heading is None else np.column_stack([estimate.position, estimate.heading])
         fixed = np.zeros((len(net), w), dtype=bool)
@@ -192,7 +192,7 @@ class _Dense:
             starts.append(self._linear(weight))
         out: Hypotheses | None = None
         for start in starts:
-            x, chi2, H = self._descended(start, weight)
+            x, chi2, H = self.descended(start, weight)
             minima = self._hypothesis(wrong, x, chi2, H)
             if out is None:
                 out = minima
@@ -257,8 +257,8 @@ class _Dense:
             distances=tuple(d._replace(i=d.i + n * k, j=d.j + n * k) for k in range(h) for d in net.distances),
         )
 
-    def _descended(
-        self, start: Float[np.ndarray, "h s"], weight: Float[np.ndarray, "h m"]
+    def descended(
+        self, start: Float[np.ndarray, "h s"], weight: Float[np.ndarray, "h m"], steps: int = STEPS
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Where Levenberg-Marquardt ends: x (h, s), chi-square (h,), information (h, f, f)."""
         h = len(weight)
@@ -287,7 +287,7 @@ class _Dense:
 
         x, loose = start.copy(), self._loose()
         chi2, damping = cost(x), np.full(h, 1e-3)
-        for _ in range(STEPS):
+        for _ in range(steps):
             g, H = normal(x)
             scale, damped = _scaled(H + np.diag(loose), damping)
             step = scale * np.linalg.solve(damped, (scale * g)[..., None])[..., 0]

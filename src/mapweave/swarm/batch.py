@@ -4,16 +4,23 @@ Nothing needs a guess, nothing fails because some robots cannot be located, and 
 is the shape, in a gauge that is named.
 """
 
-import numpy as np
+from dataclasses import replace
 
+import numpy as np
+from jaxtyping import Float
+
+from ..core.attitude import Headings
 from ..solve import GemanMcClure, Pattern, Problem, Solution, SolveConfig, minimise
 from . import factors
 from .config import SWARM_LOOSE, SWARM_NEAREST, SWARM_SELDOM, SwarmConfig
 from .network import BearingNetwork
-from .observability import gauge_pins
-from .posterior import posterior
-from .result import SwarmEstimate
+from .observability import gauge_pins, normalise
+from .posterior import others_warnings, posterior
+from .resection import other_answers
+from .result import OtherAnswer, SwarmEstimate
 from .start import SwarmStart, prepare
+
+LOWER = 1e-3  # of chi-square by which another answer is the better one
 
 
 def batch(net: BearingNetwork, cfg: SwarmConfig, initial: np.ndarray | None = None) -> SwarmEstimate:
@@ -21,7 +28,34 @@ def batch(net: BearingNetwork, cfg: SwarmConfig, initial: np.ndarray | None = No
     start = prepare(net, initial)
     used = net.select(start.used)
     solution, problem, pattern = refine(used, start, cfg)
-    return posterior(used, start, solution, problem, cfg, "batch", ~start.used, pattern=pattern)
+    found = posterior(used, start, solution, problem, cfg, "batch", ~start.used, pattern=pattern)
+    others = answers_beside(used, found, cfg)
+    if others and others[0].chi2 < found.chi2 - LOWER:
+        start = replace(start, position=others[0].position, heading=others[0].heading)
+        solution, problem, pattern = refine(used, start, cfg)
+        found = posterior(used, start, solution, problem, cfg, "batch", ~start.used, pattern=pattern)
+        others = answers_beside(used, found, cfg)
+    return with_others(found, others)
+
+
+def answers_beside(net: BearingNetwork, found: SwarmEstimate, cfg: SwarmConfig) -> tuple[OtherAnswer, ...]:
+    """The `other_answers` beside `found`, which is of the sightings of `net`, each refined as that was."""
+
+    def refined(position: Float[np.ndarray, "n 3"], heading: Headings) -> OtherAnswer:
+        start = prepare(net, position, heading)
+        solution, problem, _ = refine(net, start, cfg)
+        p, h = normalise(start.gauge, *factors.parted(net, solution.x))
+        return OtherAnswer(p, np.zeros(0) if h is None else h, float(problem.terms[0].squares(solution.x).sum()))
+
+    return other_answers(net, found, refined) if cfg.max_iterations else ()
+
+
+def with_others(found: SwarmEstimate, others: tuple[OtherAnswer, ...]) -> SwarmEstimate:
+    """`found`, not to be relied on where there are `others`."""
+    if not others:
+        return found
+    warnings = (*others_warnings(found, others), *found.warnings)
+    return replace(found, others=others, reliable=False, warnings=warnings)
 
 
 def refine(

@@ -13,7 +13,7 @@ from . import bearing, factors
 from .config import SwarmConfig
 from .network import BearingNetwork
 from .observability import Gauge, Observability, gauge_basis, normalise
-from .result import JointInformation, SwarmEstimate, SwarmStatus, Traffic
+from .result import JointInformation, OtherAnswer, SwarmEstimate, SwarmStatus, Traffic
 from .start import SwarmStart, mutual_pairs
 
 VERDICT_MANY = 0.07  # share called wrong beyond which single sightings prove nothing: some wrong ones are not found
@@ -148,6 +148,16 @@ def doubtful_warnings(net: BearingNetwork, outside: np.ndarray, doubt: float) ->
     named += ", .." if len(robots) > 10 else ""
     whose = "a robot" if len(robots) == 1 else f"{len(robots)} robots"
     return [f"other sightings may be the wrong ones, and {whose} then elsewhere (probability): {named}"]
+
+
+def others_warnings(found: SwarmEstimate, others: tuple[OtherAnswer, ...]) -> list[str]:
+    """What stands against places where `others` fit the sightings about as well as those `found`."""
+    off = np.max([np.linalg.norm(one.position - found.position, axis=1) for one in others], axis=0)
+    robots = np.flatnonzero(off > 0.5 * off.max())
+    robots = robots[np.argsort(-off[robots], kind="stable")]
+    named = ", ".join(f"{found.ids[k]} ({off[k]:.3g})" for k in robots[:10].tolist()) + (", .." * (len(robots) > 10))
+    fit = "another answer fits" if len(others) == 1 else f"{len(others)} other answers fit"
+    return [f"{fit} the sightings about as well, where robots stand elsewhere (by how far): {named}"]
 
 
 def support_warnings(net: BearingNetwork, robots: np.ndarray) -> list[str]:

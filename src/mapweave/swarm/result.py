@@ -85,6 +85,19 @@ class Traffic:
 
 
 @dataclass(frozen=True, slots=True)
+class OtherAnswer:
+    """Places [m] and headings [rad] of all robots, in the estimate's gauge, that the sightings fit with `chi2`."""
+
+    position: Float[np.ndarray, "n d"]
+    heading: Headings
+    chi2: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "position", frozen(self.position))
+        object.__setattr__(self, "heading", frozen(self.heading))
+
+
+@dataclass(frozen=True, slots=True)
 class SwarmEstimate:
     """n robots in the order of the network's ids.
 
@@ -96,7 +109,7 @@ class SwarmEstimate:
     sightings with anchors and distances held;
     chi2, dof: of the inliers' whitened residuals; outlier: (m,) sightings not used: judged wrong, or made by a robot
     whose heading nothing tells; reliable: whether all this may be trusted, `warnings` say why not; weak_anchors:
-    nearly all variance lies in one mode (share `mode_share`).
+    nearly all variance lies in one mode (share `mode_share`); others: answers that fit about as well, the best first.
     """
 
     ids: tuple[str, ...]
@@ -123,6 +136,7 @@ class SwarmEstimate:
     information: JointInformation | None = None
     gauge_motions: Float[np.ndarray, "s g"] | None = None
     gauge_conditions: Float[np.ndarray, "s g"] | None = None
+    others: tuple[OtherAnswer, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("position", "cov", "heading", "heading_var", "gauge_motions", "gauge_conditions"):

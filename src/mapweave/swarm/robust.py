@@ -18,7 +18,7 @@ from ..core.gaussian import chi2_quantile
 from ..solve import GemanMcClure, SingularError
 from . import bearing, factors
 from .alternatives import doubts as alternatives
-from .batch import batch, refine
+from .batch import answers_beside, batch, refine, with_others
 from .config import ALTERNATIVES_DOUBT, ALTERNATIVES_MOST, MUTUAL_GATE, SwarmConfig
 from .factors import bearing_factor
 from .network import BearingNetwork, components, effective_sigma
@@ -450,7 +450,8 @@ def robust(net: BearingNetwork, cfg: SwarmConfig, initial: np.ndarray | None = N
     outside = alternatives(net, inlier, estimate)
     doubts += doubtful_warnings(net, outside, ALTERNATIVES_DOUBT)
     doubts += [*trust_warnings(net, ~inlier), *support_warnings(net, unsupported(net, ~inlier))]
-    return replace(estimate, reliable=estimate.reliable and not doubts, warnings=(*doubts, *estimate.warnings))
+    told = replace(estimate, reliable=estimate.reliable and not doubts, warnings=(*doubts, *estimate.warnings))
+    return with_others(told, answers_beside(net.select(inlier), told, cfg))
 
 
 def _settled(net: BearingNetwork, start: SwarmStart, cfg: SwarmConfig) -> Float[np.ndarray, " s"]:

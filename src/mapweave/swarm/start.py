@@ -23,6 +23,7 @@ from ..solve import Factor, Information, Pattern, Problem
 from .bearing import predict
 from .network import BearingNetwork, Components, components
 from .observability import Gauge, Observability, gauge_of, normalise, observe, without_lines
+from .resection import resected
 
 TRACE = 1e-7  # least weight of the usual distance against a sighting's own
 ROUNDS = 20  # of spreading headings from robots that see each other to those that only see
@@ -127,7 +128,8 @@ def start_without_axis(
 
     Robots that sighted each other share their headings directly; the others get theirs from the positions found so
     far, as long as that reaches anybody new. Anchors give the orientation when two of them are reached, one the place.
-    Where no two robots sighted each other, those that see three anchors begin. Raises DataError when there are none of
+    In space a robot that nobody sees and that sees three is put where those are seen as it does. Where no two robots
+    sighted each other, those that see three anchors begin. Raises DataError when there are none of
     them either.
     """
     heading, known = mutual_headings(net)
@@ -145,6 +147,8 @@ def start_without_axis(
     for _ in range(ROUNDS):
         position, placed = _placed(free, heading, known)
         heading, more = resected_headings(net, position, placed, heading, known)
+        if net.dim == 3 and (more == known).all():
+            heading, more = resected(net, position, placed, heading, known)
         if (more == known).all():
             break
         known = more
