@@ -122,6 +122,7 @@ TABLES = (
     *paper("kojima", FUSION, ("table2", "unequal", "identities"), ("trace", "honesty", "settling")),
     Table("belief propagation", SWARM, bench("swarm_tables", "messages"), "stdout"),
     Table("swarm grid", SWARM, bench("swarm_tables", "grid"), "stdout"),
+    Table("swarm attitudes", SWARM, bench("swarm_tables", "attitudes", "--draws", "12"), "stdout"),
     Table("swarm trust", SWARM, bench("swarm_trust", "--draws", "6"), "stdout"),
     Table("swarm trust anew", "", bench("swarm_trust", "--draws", "6", "--seed", "2000"), "stdout"),
     Table("wrong bearings", SWARM, bench("swarm_outliers"), "stdout"),

@@ -9,12 +9,13 @@ Seconds are those of the processor.
 """
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mapweave.core.attitude import matrices
+from mapweave.core.gaussian import chi2_quantile
+from mapweave.papers.hamatani.experiments import right
 from mapweave.sim.swarm import SwarmScene, simulate_swarm
 from mapweave.swarm.config import SwarmConfig
 from mapweave.swarm.locate import locate
@@ -88,45 +89,60 @@ def print_accuracy(draws: int) -> None:
         print(f"| {' | '.join(map(str, cells))} |")
 
 
-def attitude_draw(scene: SwarmScene, seed: int) -> tuple[float, float, float, bool] | None:
-    """Sums of squared error and of the bound [m^2] over the robots located, NEES per degree of freedom, and trust.
+@dataclass(frozen=True, slots=True)
+class AttitudeDraw:
+    """One located swarm: sums of squared error and of the bound [m^2] over the robots that both have.
 
-    The bound is of the sightings that are right, at the true places. None where nobody is located.
+    nees: per degree of freedom; wrong: as `swarm_trust.py` counts it; trusted: what the result says of itself.
     """
-    swarm = simulate_swarm(scene, np.random.default_rng([12, seed]))
+
+    square: float
+    bound: float
+    nees: float
+    wrong: bool
+    trusted: bool
+
+
+def attitude_draw(scene: SwarmScene, seed: int) -> AttitudeDraw | None:
+    """Against the bound of the sightings that are right, at the true places. None where nobody is located."""
+    swarm = simulate_swarm(scene, np.random.default_rng([13, seed]))
     truth = swarm.position[0]
     net = network(swarm, swarm.corners if scene.robots > 8 else (0, 1, 2))
     found = locate(net, SwarmConfig(method="robust" if scene.outliers else "batch"))
     if found.information is None or found.gauge or not (found.localisable & ~found.anchor).any():
         return None
-    d = truth[net.target] - truth[net.observer]
-    seen = np.einsum("mij,mj->mi", matrices(swarm.heading[0])[net.observer], net.direction)
-    right = np.einsum("mk,mk->m", d, seen) > np.cos(6.0 * scene.sigma) * np.linalg.norm(d, axis=1)
-    best = locate(net.select(right), SwarmConfig(max_iterations=0), truth)
+    best = locate(net.select(right(net, swarm)), SwarmConfig(max_iterations=0), truth)
     both = found.localisable & ~found.anchor & best.localisable
     value, dof = found.nees(truth)
     square = float(np.square(found.position - truth)[both].sum())
-    return square, float(np.trace(np.asarray(best.cov)[both], axis1=1, axis2=2).sum()), value / dof, found.reliable
+    bound = float(np.trace(np.asarray(best.cov)[both], axis1=1, axis2=2).sum())
+    wrong = value > 2 * chi2_quantile(0.999, float(dof)) or square > 9 * bound
+    return AttitudeDraw(square, bound, value / dof, bool(wrong), found.reliable)
+
+
+def over_bound(runs: Sequence[AttitudeDraw]) -> str:
+    """Root mean square error over the bound, and the mean NEES with its standard error."""
+    nees = np.array([r.nees for r in runs])
+    ratio = np.sqrt(sum(r.square for r in runs) / sum(r.bound for r in runs))
+    return f"{ratio:.3f} | {nees.mean():.3f} ± {nees.std() / np.sqrt(len(nees)):.3f}"
 
 
 def print_attitudes(draws: int) -> None:
-    print("| robots | sightings | wrong | draws | rms / bound | NEES per dof | trusted: rms / bound | NEES |")
-    print("|---|---|---|---|---|---|---|---|")
+    print("| robots | sightings | wrong | located | RMSE / bound | NEES per dof | trusted | RMSE / bound ", end="")
+    print("| NEES per dof | trusted, wrong | not trusted, right |\n|---|---|---|---|---|---|---|---|---|---|---|")
     for robots in (5, 27, 125, 1000):
         many = draws if robots >= 1000 else draws * (10 if robots < 100 else 3)
         for seen in ("directed", "mutual"):
             for wrong in (0.0, 0.1):
                 sigma = float(np.radians(0.5))
                 scene = SwarmScene(robots=robots, dim=3, axis=False, sigma=sigma, visibility=seen, outliers=wrong)
-                tried = [attitude_draw(scene, k) for k in range(many)]
-                runs = np.array([one for one in tried if one is not None])
-                trusted = runs[runs[:, 3] > 0]
-                cells = [f"{len(runs)} of {many}"]
-                for part in (runs, trusted):
-                    spread = part[:, 2].std() / np.sqrt(len(part))
-                    cells += [f"{np.sqrt(part[:, 0].sum() / part[:, 1].sum()):.3f}"]
-                    cells += [f"{part[:, 2].mean():.3f} ± {spread:.3f}" + f" ({len(part)})" * (part is trusted)]
-                print(f"| {robots:,} | {seen} | {100 * wrong:.0f} % | {' | '.join(cells)} |", flush=True)
+                runs = [one for one in (attitude_draw(scene, k) for k in range(many)) if one is not None]
+                trusted = [one for one in runs if one.trusted]
+                verdicts = f"{sum(r.wrong for r in trusted)} | {sum(not (r.trusted or r.wrong) for r in runs)}"
+                cells = (
+                    f"{len(runs)} of {many} | {over_bound(runs)} | {len(trusted)} | {over_bound(trusted)} | {verdicts}"
+                )
+                print(f"| {robots:,} | {seen} | {100 * wrong:.0f} % | {cells} |", flush=True)
 
 
 def print_cost(_: int) -> None:

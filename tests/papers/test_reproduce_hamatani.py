@@ -119,3 +119,4 @@ def test_the_cases_beyond_the_paper_hold_space_at_three_noises_and_clusters_in_b
     assert {c.degrees for c in CASES if c.dim == 3} >= {0.5, 2.0, 5.0}
     assert {c.dim for c in CASES if c.layout == "clusters"} == {2, 3}
     assert max(c.robots for c in CASES) >= 400
+    assert {c.wrong for c in CASES if not c.axis and c.dim == 3} == {0.0, 0.1}

@@ -190,6 +190,18 @@ def test_of_answers_the_best_is_given_whatever_the_start():
     assert np.linalg.norm(found.position - places, axis=1).max() < 0.5
 
 
+@pytest.mark.parametrize("relief", [0.0, 0.5])
+def test_robots_in_a_plane_have_no_mirror_image_for_what_each_sees_tells_left_from_right(relief):
+    rng = np.random.default_rng(5)
+    flat = np.column_stack([rng.uniform(-10, 10, (9, 2)), relief * rng.normal(size=9)])
+    flat[:3, 2] = 0.0
+    net = standing(flat, anchors=(0, 1, 2))
+    found, over = locate(net), locate(net, initial=flat * [1.0, 1.0, -1.0])
+    assert found.others == over.others == ()
+    assert over.chi2 == pytest.approx(found.chi2, abs=0.01)
+    np.testing.assert_allclose(over.position, found.position, atol=1e-2)
+
+
 def test_other_answers_are_written_beside_the_positions(tmp_path):
     net, _ = seeing((0, 1, 2))
     table = BearingTable(net.ids, net.observer, net.target, net.direction, net.sigma, None, axis=False)
@@ -224,7 +236,7 @@ def test_a_robot_that_sees_others_on_one_line_has_its_place_and_the_missing_turn
     np.testing.assert_allclose(along.position, estimate.position, atol=1e-4)
 
 
-@pytest.mark.parametrize("method", ["iekf", "distributed"])
+@pytest.mark.parametrize("method", ["ekf", "iekf", "fej", "distributed"])
 def test_methods_that_need_common_axes_in_space_say_so(method):
     net, _ = simulated(1, robots=8, dim=3, axis=False)
     with pytest.raises(DataError, match=r"in space .* common axes: use the batch method"):

@@ -17,7 +17,7 @@ from .network import BearingNetwork
 from .result import OtherAnswer, SwarmEstimate
 
 Refined = Callable[[Float[np.ndarray, "n 3"], Headings], OtherAnswer]
-STARTS = 64  # places from which one robot is resected
+STARTS = 32  # places from which one robot is resected
 SPREAD = 1.5  # standard deviation of those, of the deviation of what it sees
 RESECTING = 80  # steps of Levenberg-Marquardt from each
 ONE_PLACE = 1e-3  # of that deviation, or of a usual sighting, below which two places are one

@@ -1,11 +1,12 @@
 """The experiment of Hamatani, Nakamura and Naruse: five robots in the plane, filters run over repeated sightings."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ...core.attitude import matrices
 from ...core.se2 import wrap_angle
 from ...core.workers import Progress, no_progress
 from ...io.kept import part
@@ -114,13 +115,23 @@ def _corner(x: np.ndarray, top: int, left: int, right: int) -> float:
 class BeyondCase:
     """Robots, who see their eight nearest, in one layout; degrees: noise of a sighting.
 
-    Known are the corners of the field, of five robots two of them as in the paper.
+    Known are the corners of the field, of five robots two of them as in the paper. axis: whether there is a common one;
+    wrong: share of sightings that point anywhere, located by `robust`.
     """
 
     robots: int
     dim: Literal[2, 3]
     layout: Layout
     degrees: float
+    axis: bool = True
+    wrong: float = 0.0
+
+    @property
+    def place(self) -> str:
+        """Where they are, and what of it is harder than in the paper."""
+        words = ["the plane" if self.dim == 2 else "space"]
+        words += ["no common axes"] * (not self.axis) + [f"{100 * self.wrong:.0f} % wrong"] * (self.wrong > 0.0)
+        return ", ".join(words)
 
 
 CASES = (
@@ -134,6 +145,8 @@ CASES = (
     BeyondCase(64, 3, "random", 5.0),
     BeyondCase(64, 3, "clusters", 2.0),
     BeyondCase(216, 3, "grid", 2.0),
+    BeyondCase(64, 3, "random", 0.5, axis=False),
+    BeyondCase(64, 3, "grid", 0.5, axis=False, wrong=0.1),
 )
 
 
@@ -167,7 +180,7 @@ class Beyond:
 def beyond(
     cases: tuple[BeyondCase, ...], draws: int, seed: int, on_progress: Progress = no_progress
 ) -> tuple[Beyond, ...]:
-    """The batch estimator, without any guess, on `draws` swarms a case."""
+    """The batch estimator, `robust` where sightings are wrong, without any guess, on `draws` swarms a case."""
     out = []
     for at, case in enumerate(cases):
         on_progress("beyond the paper", at, len(cases))
@@ -176,7 +189,10 @@ def beyond(
 
 
 def _tried(case: BeyondCase, draws: int, seed: int) -> Beyond:
-    scene = SwarmScene(robots=case.robots, dim=case.dim, layout=case.layout, sigma=float(np.radians(case.degrees)))
+    scene = SwarmScene(
+        robots=case.robots, dim=case.dim, layout=case.layout, sigma=float(np.radians(case.degrees)),
+        axis=case.axis, outliers=case.wrong,
+    )  # fmt: skip
     scores = np.empty((5, draws))
     failed = 0
     for draw in range(draws):
@@ -184,8 +200,8 @@ def _tried(case: BeyondCase, draws: int, seed: int) -> Beyond:
         swarm = simulate_swarm(scene, rng)
         truth = swarm.position[0]
         net = network(swarm)
-        located = locate(net)
-        at_truth = locate(net, replace(SwarmConfig(), max_iterations=0), truth)
+        located = locate(net, SwarmConfig(method="robust" if case.wrong else "batch"))
+        at_truth = locate(net.select(right(net, swarm)), SwarmConfig(max_iterations=0), truth)
         scored = located.localisable & ~located.anchor
         off = (located.position - truth)[scored]
         value, dof = located.nees(truth)
@@ -201,9 +217,18 @@ def _tried(case: BeyondCase, draws: int, seed: int) -> Beyond:
     return Beyond(case, rmse, bound, nees, left, reliable.astype(bool), failed)
 
 
+def right(net: BearingNetwork, swarm: Swarm) -> Bool[np.ndarray, " m"]:
+    """(m,) False for sightings that miss the truth by more than six standard deviations."""
+    d = swarm.position[0][net.target] - swarm.position[0][net.observer]
+    seen = net.direction
+    if not net.axis:
+        seen = np.einsum("mij,mj->mi", matrices(swarm.heading[0])[net.observer], seen)
+    return np.asarray(np.einsum("mk,mk->m", d, seen) > np.cos(6.0 * net.sigma) * np.linalg.norm(d, axis=1))
+
+
 def network(swarm: Swarm) -> BearingNetwork:
     """A standing swarm's sightings, its corners known; of five robots two of them."""
     table = swarm.table
     z = table.bearing() if table.dim == 2 else table.direction
     anchors = {k: swarm.position[0][k] for k in swarm.corners[: 2 if len(table.ids) == 5 else None]}
-    return BearingNetwork(table.ids, table.dim, table.observer, table.target, z, table.sigma, anchors)
+    return BearingNetwork(table.ids, table.dim, table.observer, table.target, z, table.sigma, anchors, axis=table.axis)

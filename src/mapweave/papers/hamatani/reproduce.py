@@ -187,6 +187,15 @@ CLAIMS = (
     ),
     Claim("Future work: many robots", "swarm/batch.py", BEYOND, "-", "many", _placed("many"), "{draws} draws a case"),
     Claim("Future work: space", "swarm/batch.py", BEYOND, "-", "space", _placed("space"), "{draws} draws a case"),
+    Claim(
+        "Future work: space, each robot with axes of its own, also with a tenth of the sightings wrong",
+        "swarm/robust.py",
+        BEYOND,
+        "-",
+        "own axes",
+        _placed("own axes"),
+        "{draws} draws a case",
+    ),
 )
 
 
@@ -392,7 +401,7 @@ class HamataniReproduction(Reproduction):
         rows: list[tuple[object, ...]] = [
             (
                 r.case.robots,
-                "the plane" if r.case.dim == 2 else "space",
+                r.case.place,
                 r.case.layout,
                 f"{r.case.degrees:g}",
                 f"{np.sqrt(np.mean(r.rmse**2)):.3f}",
@@ -460,7 +469,7 @@ class HamataniReproduction(Reproduction):
             judged = [self.verdict(table, g, b) for g in guesses for b in (0.01, 25.0)]
             return f"{judged.count('reproduced')} of {len(judged)} cells within {WITHIN[table]:g} x"
 
-        plane, space = ([r for r in self.beyond if r.case.dim == d] for d in (2, 3))
+        plane, space = ([r for r in self.beyond if r.case.dim == d and r.case.axis] for d in (2, 3))
         large = [r for r in plane if r.case.robots > 5]
 
         def bounds(rows: list[Beyond]) -> str:
@@ -481,6 +490,7 @@ class HamataniReproduction(Reproduction):
             "random": bounds([r for r in plane if r.case.robots == 5]),
             "many": bounds(large),
             "space": bounds(space),
+            "own axes": bounds([r for r in self.beyond if not r.case.axis]),
         }
 
     def numbers(self) -> Numbers:
@@ -492,7 +502,7 @@ class HamataniReproduction(Reproduction):
             for t in PRINTED
             for far in (False, True)
         }
-        plane, space = ([row for row in self.beyond if row.case.dim == d] for d in (2, 3))
+        plane, space = ([row for row in self.beyond if row.case.dim == d and row.case.axis] for d in (2, 3))
         few, many = ([row for row in plane if (row.case.robots > 5) == large] for large in (False, True))
         return {
             **{f"table{t}{' from afar' if far else ''}": ratios for (t, far), ratios in table.items()},
@@ -505,6 +515,7 @@ class HamataniReproduction(Reproduction):
             **_located("random", few),
             **_located("many", many),
             **_located("space", space),
+            **_located("own axes", [row for row in self.beyond if not row.case.axis]),
         }
 
     def _all_cells(self) -> dict[str, str]:
@@ -568,6 +579,8 @@ class HamataniReproduction(Reproduction):
                     "robots": r.case.robots,
                     "dim": r.case.dim,
                     "layout": r.case.layout,
+                    "axis": r.case.axis,
+                    "wrong": r.case.wrong,
                     "bearing_deg": r.case.degrees,
                     "rmse_m": float(np.sqrt(np.mean(r.rmse**2))),
                     "rmse_over_bound": r.over_bound,
