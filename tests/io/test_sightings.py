@@ -84,6 +84,14 @@ def test_zero_sightings_are_refused(tmp_path, text):
         read_sightings(written(tmp_path, text))
 
 
+@pytest.mark.parametrize("text", ["observer,target,bearing\na,,0.1\nb, ,0.2\n", "observer,bearing\na,0.1\nb,0.2\n"])
+def test_sightings_that_do_not_say_who_was_seen_are_refused_in_plain_words(tmp_path, text):
+    path = tmp_path / "s.csv"
+    path.write_text(text)
+    with pytest.raises(ReaderError, match="sightings without names are not located"):
+        read_sightings(path)
+
+
 def test_the_wrong_dimension_is_told(tmp_path):
     with pytest.raises(ReaderError, match="expected observer,target and azimuth,elevation or bx,by,bz"):
         read_sightings(written(tmp_path, "observer,target,bearing\na,b,0.1\n"), dim=3)

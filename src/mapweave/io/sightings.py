@@ -64,6 +64,7 @@ def read_sightings(path: Path | Table, *, dim: int | None = None, axis: bool = T
     """
     file = path if isinstance(path, Table) else read_table(path)
     layout = _layout(file, dim)
+    _need_names(file)
     observer, target = file.names(_column(file, "observer", "robot")), file.names(_column(file, "target", "id"))
     values = np.column_stack([file.numbers(name) for name in layout]) if len(file) else np.zeros((0, len(layout)))
     t = file.numbers("t") if "t" in file.columns else None
@@ -137,6 +138,15 @@ def _column(file: Table, *names: str) -> str:
         if name in file.columns:
             return name
     raise ReaderError(file.path, f"expected a column {names[0]}, found {','.join(file.columns)}", 1)
+
+
+def _need_names(file: Table) -> None:
+    """Raises ReaderError where no row says who was seen."""
+    told = next((file.columns[name] for name in ("target", "id") if name in file.columns), None)
+    if len(file) and not any(word.strip() for word in told or ()):
+        line = 1 if told is None else file.lines[0]
+        said = "expected who was seen in a column target: sightings without names are not located"
+        raise ReaderError(file.path, said, line)
 
 
 def _need(file: Table, names: tuple[str, ...]) -> None:
