@@ -180,6 +180,16 @@ def test_one_more_sighting_leaves_one_answer_and_a_chi_square_far_larger_is_none
         assert np.linalg.norm(found.position - places, axis=1).max() < 0.5
 
 
+@pytest.mark.parametrize("seed", [1000, 1001, 1002, 1005])
+def test_a_robot_that_one_of_several_answers_would_place_off_its_other_ray_decides(seed):
+    places = np.random.default_rng(seed).uniform(-10, 10, (8, 3))
+    pairs = [*EVERYONE, (6, 0), (6, 1), (6, 2), (6, 7), (0, 7)]  # robot 7 stands where 6 and 0 look
+    found = locate(standing(places, anchors=(0, 1, 2), pairs=pairs))
+    assert found.localisable.all()
+    assert found.reliable
+    assert np.linalg.norm(found.position - places, axis=1).max() < 1.0
+
+
 def test_of_answers_the_best_is_given_whatever_the_start():
     net, places = seeing((0, 1, 2, 3))
     three = net.select(~((net.observer == 6) & (net.target == 3)))

@@ -85,14 +85,19 @@ def other_answers(net: BearingNetwork, estimate: SwarmEstimate, refined: Refined
     """
     if net.axis or net.dim == 2 or estimate.heading is None or not np.any(net.sigma > 0):
         return ()
-    p, degree = estimate.position, np.bincount(np.concatenate([net.observer, net.target]), minlength=len(net))
-    makes = np.bincount(net.observer, minlength=len(net))
-    few = estimate.localisable & ~estimate.anchor & (degree <= SWARM_SELDOM) & (makes >= LEAST_MADE)
+    p, inside = estimate.position, estimate.localisable
+    told = inside[net.observer] & inside[net.target]
+    degree = np.bincount(np.concatenate([net.observer[told], net.target[told]]), minlength=len(net))
+    firm = estimate.anchor | (degree > SWARM_SELDOM)  # others may move with the robot that is asked
     span = float(np.median(np.linalg.norm(p[net.target] - p[net.observer], axis=1)))
     found: list[OtherAnswer] = []
-    for k in np.flatnonzero(few).tolist():
-        rows = np.flatnonzero((net.observer == k) | (net.target == k))
-        rows = rows[estimate.localisable[net.observer[rows]] & estimate.localisable[net.target[rows]]]
+    for k in np.flatnonzero(inside & ~estimate.anchor).tolist():
+        rows = np.flatnonzero(
+            told & (((net.observer == k) & firm[net.target]) | ((net.target == k) & firm[net.observer]))
+        )
+        own = np.count_nonzero(net.observer[rows] == k)
+        if not LEAST_SEEN <= len(rows) <= SWARM_SELDOM or own < LEAST_MADE:
+            continue
         for place, turn in zip(*poses(net, k, p, estimate.heading, rows)[:2], strict=True):
             if np.linalg.norm(place - p[k]) <= ONE_PLACE * span:
                 continue

@@ -147,11 +147,12 @@ def start_without_axis(
     for _ in range(ROUNDS):
         position, placed = _placed(free, heading, known)
         heading, more = resected_headings(net, position, placed, heading, known)
-        if net.dim == 3 and (more == known).all():
-            heading, more = resected(net, position, placed, heading, known)
         if (more == known).all():
             break
         known = more
+    if net.dim == 3:  # at up to four places: nobody else is found by them
+        heading, known = resected(net, position, placed, heading, known)
+        position, placed = _placed(free, heading, known)
     if not turned and (net.anchors or net.distances):
         if np.count_nonzero(placed & net.is_anchor) >= 2 and parts.known[parts.reference] >= 2:
             heading = headings(anchored_turn(net, position, placed) @ matrices(heading))
