@@ -87,6 +87,15 @@ def test_in_space_without_axes_a_robot_that_may_be_elsewhere_is_doubted_and_one_
     assert doubts(net, ~none_wrong(net), batch(net, SwarmConfig())).max() < ALTERNATIVES_DOUBT
 
 
+def test_in_space_without_axes_it_is_asked_of_fewer_sightings(monkeypatch):
+    scene = SwarmScene(robots=5, dim=3, axis=False, sigma=np.radians(0.5), visibility="mutual", outliers=0.1)
+    swarm = simulate_swarm(scene, np.random.default_rng([103, 28]))
+    net = as_network(swarm.table, swarm.position[0], (0, 1, 2))
+    found = locate(net, ROBUST)
+    monkeypatch.setattr(alternatives, "ALTERNATIVES_MOST_TURNED", len(net.observer) - 1)
+    assert doubts(net, ~found.outlier, found).max() == 0.0
+
+
 def test_a_wrong_sighting_kept_in_place_of_a_right_one_is_found_by_swapping_them():
     net = complete(PAPER, 0.5, np.random.default_rng(3), anchors=(0, 1))
     bad = 12

@@ -25,6 +25,7 @@ from .config import (
     ALTERNATIVES_EXTENT,
     ALTERNATIVES_GATE,
     ALTERNATIVES_MOST,
+    ALTERNATIVES_MOST_TURNED,
     ALTERNATIVES_SWAPS,
     ALTERNATIVES_UNLIKELY,
 )
@@ -67,10 +68,12 @@ class Hypotheses:
 def doubts(net: BearingNetwork, inlier: Bool[np.ndarray, " m"], estimate: SwarmEstimate) -> Float[np.ndarray, " n"]:
     """(n,) probability that a robot stands outside the gate of its covariance; zero where that is not asked.
 
-    It is asked of networks of up to `ALTERNATIVES_MOST` sightings with a covariance and noise.
+    It is asked of networks of up to `ALTERNATIVES_MOST` sightings, in space without axes `ALTERNATIVES_MOST_TURNED`,
+    with a covariance and noise.
     """
     none = np.zeros(len(net))
-    if estimate.cov is None or len(net.observer) > ALTERNATIVES_MOST or not np.any(net.sigma > 0):
+    most = ALTERNATIVES_MOST if net.axis or net.dim == 2 else ALTERNATIVES_MOST_TURNED
+    if estimate.cov is None or len(net.observer) > most or not np.any(net.sigma > 0):
         return none
     held = _held(net, estimate)
     free = estimate.localisable & ~held.is_anchor

@@ -5,6 +5,7 @@ from typing import Literal
 from ..core.config import config
 
 ALTERNATIVES_MOST = 100  # sightings up to which this is asked
+ALTERNATIVES_MOST_TURNED = 60  # and in space without axes, where a robot has six unknowns
 ALTERNATIVES_BEAM = 8  # sets a round whose neighbours are tried
 ALTERNATIVES_UNLIKELY = 14.0  # log of the odds against a set from which on its neighbours are not
 ALTERNATIVES_SWAPS = 4  # sightings called wrong up to which one may stand in place of another
