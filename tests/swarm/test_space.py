@@ -14,6 +14,7 @@ from mapweave.sim.swarm import SwarmScene, simulate_swarm
 from mapweave.swarm.config import SwarmConfig
 from mapweave.swarm.locate import locate
 from mapweave.swarm.network import BearingNetwork, Distance
+from mapweave.swarm.robust import unsupported
 from mapweave.swarm.start import mutual_headings, relative_turns
 
 from .swarms import as_network, score, simulated
@@ -188,6 +189,14 @@ def test_a_robot_that_one_of_several_answers_would_place_off_its_other_ray_decid
     assert found.localisable.all()
     assert found.reliable
     assert np.linalg.norm(found.position - places, axis=1).max() < 1.0
+
+
+def test_where_one_of_four_sightings_is_called_wrong_the_others_only_just_place_and_turn_a_robot():
+    net, _ = seeing((0, 1, 2, 3, 4))
+    four = net.select(~((net.observer == 6) & (net.target == 4)))
+    for swarm, named in ((net, []), (four, [6])):
+        wrong = (swarm.observer == 6) & (swarm.target == 3)
+        assert unsupported(swarm, wrong).tolist() == named
 
 
 def test_of_answers_the_best_is_given_whatever_the_start():

@@ -90,7 +90,7 @@ def unsupported(net: BearingNetwork, outlier: Bool[np.ndarray, " m"]) -> Int[np.
     both = np.concatenate([net.observer, net.target])
     wrong = np.bincount(both[np.concatenate([outlier, outlier])], minlength=len(net))
     right = np.bincount(both, minlength=len(net)) - wrong
-    unknown = net.dim + (0 if net.axis else 1)
+    unknown = factors.width(net)
     few = (right <= wrong) | ((net.dim - 1) * right <= unknown)
     return np.flatnonzero((wrong > 0) & few & ~net.is_anchor)
 
