@@ -3,11 +3,13 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
+from mapweave.core import se2
 from mapweave.fusion.join import fuse
 from mapweave.fusion.online import OnlineFuser
 
-from .worlds import local_map, team
+from .worlds import local_map, team, with_landmarks
 
 
 def versions(maps, steps=4):
@@ -71,3 +73,107 @@ def test_a_robot_that_has_mapped_nothing_yet_waits():
     fuser = OnlineFuser().update(local_map("robot3", [], np.zeros((0, 2)), np.zeros((0, 0))))
     assert fuser.trace is None
     assert fuser.update(*maps).tied_in == 2
+
+
+@pytest.fixture
+def five():
+    return team(np.random.default_rng(21), robots=5, landmarks=14, seen=9)[0]
+
+
+def seen_so_far(m, n):
+    """The map when its robot had mapped `n` landmarks."""
+    part = m.submap.landmarks.select(m.submap.ids[:n])
+    return replace(local_map(m.robot, part.ids, part.mean, part.cov), log_hash=m.robot)
+
+
+def assert_near(fuser, maps, tolerance=0.01):
+    """Near what fusing all at once gives, which finds every map's variance as well."""
+    whole = fuse(maps).components[0]
+    assert fuser.largest.robots == whole.robots
+    assert fuser.largest.map.ids == whole.map.ids
+    np.testing.assert_allclose(fuser.largest.map.mean, whole.map.mean, atol=tolerance)
+    for robot, frame in whole.frames.items():
+        np.testing.assert_allclose(se2.between(frame, fuser.largest.frames[robot]), 0, atol=tolerance)
+
+
+def test_a_robot_more_is_tied_in_without_judging_all_anew(five):
+    fuser = OnlineFuser().update(*five[1:]).grown(five[0])  # robot1, in whose first pose the map stands from now on
+    assert (fuser.judged, fuser.tied_in) == (1, 5)
+    assert [d.decision for d in fuser.fusion.decisions] == ["reference", *["merged"] * 4]
+    assert_near(fuser, five)
+
+
+def test_a_landmark_more_is_put_into_the_map_without_judging_all_anew(five):
+    before = [seen_so_far(m, 8) for m in five]
+    now = [replace(m, log_hash=m.robot) for m in five]
+    fuser = OnlineFuser().update(*before).grown(*now)
+    assert fuser.judged == 1
+    assert_near(fuser, now)
+
+
+def test_two_parts_are_one_when_what_both_have_seen_shows_it_and_nothing_is_judged(five):
+    ids = sorted(set(five[0].submap.ids) & set(five[1].submap.ids))[:1]
+    apart = [seen_so_far(with_landmarks(m), 9) for m in five[:2]]
+    own = [n for n in apart[1].submap.ids if n not in apart[0].submap.ids]
+    alone = local_map("robot2", [*own, *ids], *_of(apart[1], [*own, *ids]), log_hash="robot2")
+    fuser = OnlineFuser().update(apart[0], alone)
+    assert fuser.tied_in == 1
+    fuser = fuser.grown(apart[1])
+    assert (fuser.judged, fuser.tied_in) == (1, 2)
+    assert_near(fuser, apart)
+
+
+def _of(m, ids):
+    part = m.submap.landmarks.select(ids)
+    return part.mean, part.cov
+
+
+def test_a_landmark_that_one_fresh_map_misplaces_hardly_counts_and_all_are_to_be_judged(five):
+    hashed = [replace(m, log_hash=m.robot) for m in five]
+    fuser = OnlineFuser().update(*hashed)
+    assert not fuser.due
+    name = next(n for n in five[4].submap.ids if all(n in m.submap.ids for m in five[2:]))
+    k = five[4].submap.ids.index(name)
+    mean = np.array(five[4].submap.mean)
+    mean[k] += 3.0
+    wrong = replace(with_landmarks(five[4], mean=mean), log_hash="robot5")
+    grown = fuser.grown(wrong)
+    assert (grown.judged, grown.due) == (1, True)
+    assert [f.code for f in grown.fusion.findings] == ["landmark-elsewhere"]
+    place = [c.map.mean[c.map.ids.index(name)] for c in (fuser.largest, grown.largest)]
+    assert np.hypot(*(place[1] - place[0])) < 0.1
+    assert not grown.grown(*hashed).fusion.findings
+
+
+def test_a_robot_that_is_taken_out_leaves_the_map_of_the_others(five):
+    fuser = OnlineFuser().grown(*five).without(["robot3"]).grown()
+    assert fuser.largest.robots == ("robot1", "robot2", "robot4", "robot5")
+    assert_near(fuser, [m for m in five if m.robot != "robot3"])
+
+
+def test_who_came_while_all_was_judged_stays_where_it_was_tied(five):
+    begun = OnlineFuser().grown(*five[:3])
+    meanwhile = begun.grown(*five[3:])
+    fuser = begun.converged().caught_up(meanwhile).grown()
+    assert (fuser.judged, fuser.tied_in) == (1, 5)
+    assert not fuser.tried  # nobody had to be asked again
+    assert_near(fuser, five)
+
+
+def test_a_map_that_lost_landmarks_or_is_of_another_run_waits_until_all_are_judged(five):
+    hashed = [replace(m, log_hash=m.robot) for m in five]
+    fuser = OnlineFuser().update(*hashed)
+    for other in (seen_so_far(five[4], 3), replace(five[4], log_hash="another run")):
+        grown = fuser.grown(other)
+        assert grown.due
+        assert grown.largest.robots == fuser.largest.robots
+        np.testing.assert_allclose(grown.largest.map.mean, fuser.largest.map.mean, atol=1e-6)
+        assert grown.converged().latest["robot5"] is other
+
+
+def test_the_sum_does_not_grow_with_robots():
+    maps = team(np.random.default_rng(22), robots=30, landmarks=10, seen=6)[0]
+    fuser = OnlineFuser().grown(*maps)
+    assert fuser.tied_in == 30
+    assert {term.S.shape for term in fuser.sums[0].terms.values()} == {(12, 12)}
+    assert_near(fuser, maps, 0.02)

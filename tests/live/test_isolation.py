@@ -144,14 +144,14 @@ def test_three_landmarks_in_one_point_cost_nobody_else_the_map(tmp_path):
 def test_a_snapshot_that_fusion_breaks_on_is_named_and_the_others_are_fused(tmp_path, monkeypatch):
     from mapweave.fusion.online import OnlineFuser
 
-    update = OnlineFuser.update
+    grown = OnlineFuser.grown
 
     def fragile(self, *maps):
         if any(m.robot == "robot2" for m in maps):
             raise np.linalg.LinAlgError("Singular matrix")
-        return update(self, *maps)
+        return grown(self, *maps)
 
-    monkeypatch.setattr(OnlineFuser, "update", fragile)
+    monkeypatch.setattr(OnlineFuser, "grown", fragile)
     with Store(tmp_path / "s.sqlite", "a map") as store:
         some = [(1.0, 2.0), (4.0, 0.0), (0.0, 5.0)]
         inbox = heard_snapshots(store, snapshot("r1", some), snapshot("r2", some))
@@ -166,6 +166,7 @@ THREADS = {  # of a map process: what each does again and again
     "solves": (Weaving, "run", "not woven: {}"),
     "searches": (PairTrial, "run", "not woven: r1 and r2, tried on each other: {}"),
     "fuses": (Fusing, "run", "fusing failed: {}"),
+    "judges": (map_process, "judged", "judging landmark maps failed: {}"),
     "maps robots that are gone": (map_process, "mapped_again", "mapping a robot that is gone failed: {}"),
 }
 HUNG = 4.0  # [s]; longer than any piece of work of so small a team takes, with everything compiled

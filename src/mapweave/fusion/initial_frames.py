@@ -200,14 +200,11 @@ def find_outliers(cluster: Consensus) -> list[Outlier]:
     """
     outliers: list[Outlier] = []
     while True:
-        judged = {k: _leave_one_out(cluster, k) for k in sorted(cluster.placed)}
-        k = max(judged, key=lambda k: judged[k][0].max(initial=0.0))
-        ratio, residuals = judged[k]
+        ratio, residuals = _left_out(cluster)
         if ratio.max(initial=0.0) <= 1.0:
             break
-        i = int(np.argmax(ratio))
-        e, residual = int(cluster.entries.begin[k]) + i, float(residuals[i])
-        name = cluster.entries.name[e]
+        e = int(np.argmax(ratio))
+        residual, name = float(residuals[e]), cluster.entries.name[e]
         here = np.flatnonzero((cluster.entries.name == name) & cluster.counts)
         alone = len(here) == 2
         for entry in here if alone else [e]:
@@ -269,12 +266,16 @@ def inflated(landmarks: LandmarkMap, outliers: Sequence[Outlier]) -> LandmarkMap
     return LandmarkMap(landmarks.ids, landmarks.mean, landmarks.cov + np.diag(extra), landmarks.frame)
 
 
-def _leave_one_out(cluster: Consensus, k: int) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-    """Each landmark's distance [m] from where the others put it, and that over its gate; zero where none do."""
-    known, place, _ = cluster.others(k)
-    at = cluster.entries.of_map(k)
-    residual = np.hypot(*(cluster.position[at] - place).T) * known * cluster.counts[at]
-    return residual / cluster.gates(k, FUSE_GATE), residual
+def _left_out(cluster: Consensus) -> tuple[Float[np.ndarray, " e"], Float[np.ndarray, " e"]]:
+    """Each entry's distance [m] from where the other maps put it, over its gate, and by itself; zero where none do."""
+    names, own = cluster.entries.name, cluster.counts
+    count = cluster.count[names] - own
+    some = np.maximum(count, 1)
+    place = (cluster.total[names] - own[:, None] * cluster.position) / some[:, None]
+    variance = (cluster.variance[names] - own * cluster.entries.variance) / some**2
+    residual = np.hypot(*(cluster.position - place).T) * (count > 0) * own
+    gate = np.maximum(FUSE_GATE, GATE_SIGMAS * np.sqrt(np.maximum(variance + cluster.entries.variance, 0.0)))
+    return residual / gate, residual
 
 
 def _elsewhere(cluster: Consensus, name: int, k: int) -> Float[np.ndarray, "2"]:
@@ -466,15 +467,23 @@ def _grow(cluster: Consensus, test: PlaceTest, waiting: set[int]) -> None:
         if not open_:
             return
         k = min(open_, key=lambda k: (-int(has[k]), k))
-        fit = cluster.fit(k)
-        if fit is None or not cluster.agrees(k, fit) or not _belongs(cluster, test, k):
+        T = place_in(cluster, test, k)
+        if T is None:
             failed[k] = int(has[k])
             continue
         fresh = entries.name[entries.of_map(k)]
         fresh = fresh[cluster.count[fresh] == 0]
-        cluster.place(k, fit.T_target_source)
+        cluster.place(k, T)
         waiting.discard(k)
         np.add.at(has, entries.owner[np.isin(entries.name, fresh)], 1)
+
+
+def place_in(cluster: Consensus, test: PlaceTest, k: int) -> Float[np.ndarray, "3"] | None:
+    """Where map k lies in the cluster; None where it does not agree, or nothing shows that it is the same place."""
+    fit = cluster.fit(k)
+    if fit is None or not cluster.agrees(k, fit) or not _belongs(cluster, test, k):
+        return None
+    return np.asarray(fit.T_target_source)
 
 
 def _belongs(cluster: Consensus, test: PlaceTest, k: int) -> bool:
@@ -535,7 +544,7 @@ def _merge(clusters: list[Consensus], test: PlaceTest) -> list[Consensus]:
         done = True
         for a in range(len(clusters)):
             for b in range(a + 1, len(clusters)):
-                if _absorb(clusters[a], clusters[b], test):
+                if absorbed(clusters[a], clusters[b], test) is not None:
                     del clusters[b]
                     done = False
                     break
@@ -544,20 +553,21 @@ def _merge(clusters: list[Consensus], test: PlaceTest) -> list[Consensus]:
     return clusters
 
 
-def _absorb(into: Consensus, other: Consensus, test: PlaceTest) -> bool:
+def absorbed(into: Consensus, other: Consensus, test: PlaceTest) -> Float[np.ndarray, "3"] | None:
+    """Where `other` lies in `into`, whose maps are placed there; None, and nothing done, where nothing shows it."""
     both = np.flatnonzero((into.count > 0) & (other.count > 0))
     if len(both) < ENOUGH:
-        return False
+        return None
     source = other.total[both] / other.count[both, None]
     target = into.total[both] / into.count[both, None]
     sigma = np.sqrt(other.variance[both] / other.count[both] ** 2 + into.variance[both] / into.count[both] ** 2)
     cfg = into.cfg
     fit = align_robust(source, target, np.maximum(FUSE_GATE, GATE_SIGMAS * sigma))
     if float(np.median(fit.residual / np.maximum(FUSE_REFUSE, GATE_SIGMAS * sigma))) > 1.0:
-        return False
+        return None
     evidence = same_place(_as_map(other, both), _as_map(into, both), cfg)
     if evidence.log_odds < test.needed([*_holders(into, both), *_holders(other, both)]):
-        return False
+        return None
     for k, T in other.placed.items():
         into.place(k, se2.compose(fit.T_target_source, T))
-    return True
+    return np.asarray(fit.T_target_source)

@@ -52,7 +52,7 @@ def fuse(
     if len({m.robot for m in ordered}) != len(ordered):
         raise ValueError("two local maps carry the same robot's name")
     used, decisions, findings = _single_use(ordered)
-    faults = {m.robot: why for m in used if (why := _unsound(m)) is not None}
+    faults = {m.robot: why for m in used if (why := unsound(m)) is not None}
     decisions += [Decision(robot, 0, "refused", why) for robot, why in faults.items()]
     sound = [m for m in used if m.robot not in faults]
     landmarks = [m.submap.landmarks for m in sound]
@@ -73,7 +73,7 @@ def fuse(
     for k, (old, new) in enumerate(zip(before, landmarks, strict=True)):
         _relabel(labels, sound[k], dict(zip(old.ids, new.ids, strict=True)))
     findings += [_renaming_finding(names, before[r.owner], r) for r in renamed]
-    findings += _outlier_findings(names, outliers)
+    findings += outlier_findings(names, outliers)
     if cfg.repeats != 1:
         findings.append(Finding("maps-repeated", value=cfg.repeats))
     components = []
@@ -235,7 +235,7 @@ def _single_use(maps: Sequence[LocalMap]) -> tuple[list[LocalMap], list[Decision
     return used, decisions, findings
 
 
-def _unsound(m: LocalMap) -> str | None:
+def unsound(m: LocalMap) -> str | None:
     landmarks = m.submap.landmarks
     if not (np.isfinite(landmarks.mean).all() and np.isfinite(landmarks.cov).all()):
         return "its map holds numbers that are not finite"
@@ -261,7 +261,7 @@ def _renaming_finding(robots: Sequence[str], m: LandmarkMap, r: Renaming) -> Fin
     return Finding("landmarks-renamed", robots[r.owner], value=value, action="taken as the same ones")
 
 
-def _outlier_findings(names: Sequence[str], outliers: Sequence[Outlier]) -> list[Finding]:
+def outlier_findings(names: Sequence[str], outliers: Sequence[Outlier]) -> list[Finding]:
     findings: list[Finding] = []
     for k in sorted({d.owner for d in outliers}):
         mine = [d for d in outliers if d.owner == k]

@@ -1,153 +1,32 @@
 """Fusing while the robots drive: a fresher version of a robot's map takes the place of its older one.
 
-Which landmarks are doubted, which maps are refused and how far each covariance is trusted is judged by `fuse` over all
-maps: whenever a robot has mapped another landmark, and whenever the maps rest on a quarter more sightings. In between
-a fresher map changes the sum of information alone, `Lambda += new - old`: nothing counts twice, and an update costs
-what the maps hold and not how many came before.
+How maps are named, which are refused and how far each covariance is trusted is judged by `fuse` over all maps, when
+they rest on a quarter more sightings, or when one of them is doubted. In between a fresher map, another landmark and
+another robot are put into the sum of what they are tied to (`InformationSum`): a robot is tied in, and a landmark
+doubted, by the very tests of `fuse`, but of what has changed alone.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
-from ..core.gaussian import is_positive_definite, solve_psd, symmetrise
+from ..core.names import in_order
 from ..landmarks.landmark_map import LandmarkMap, LocalMap
+from .cluster import ENOUGH
 from .config import JUDGE_AGAIN, FuseConfig
-from .full_covariance import JoinLayout, MapTerm
-from .join import fuse
-from .result import Component, Fusion
-
-NEAR = 1e-6  # [m], [rad], and of scales: so far the estimate may move from where a part was taken
-ROUNDS = 30  # of taking parts anew, at most
-
-
-@dataclass(frozen=True, slots=True)
-class InformationTerm:
-    """One map in the sum: its information H (d, d) over `where`, H times the place it was taken at less its gradient.
-
-    at: (d,) where it was taken.
-    """
-
-    term: MapTerm
-    at: Float[np.ndarray, " d"]
-    H: Float[np.ndarray, "d d"]
-    eta: Float[np.ndarray, " d"]
-
-    @classmethod
-    def of(cls, term: MapTerm, x: Float[np.ndarray, " n"]) -> "InformationTerm":
-        H, g = term.normal(x)
-        at = x[term.where]
-        return cls(term, at, H[0], H[0] @ at - g[0])
-
-
-@dataclass(frozen=True, slots=True)
-class InformationSum:
-    """All maps of one component as one Gaussian over k frames, k scales and n landmarks (`JoinLayout`).
-
-    factors: what each robot's covariance is multiplied by; widened[robot][landmark]: variance added to one that is
-    doubted [m^2]; floor [m]: independent error of every landmark of every map; Lambda, eta: the sum of all parts and
-    of what is known of the scales beforehand.
-    """
-
-    component: Component
-    layout: JoinLayout
-    factors: Mapping[str, float]
-    floor: float
-    x: Float[np.ndarray, " n"]
-    Lambda: Float[np.ndarray, "n n"]
-    eta: Float[np.ndarray, " n"]
-    parts: Mapping[str, InformationTerm]
-
-    @classmethod
-    def of(
-        cls,
-        component: Component,
-        maps: Mapping[str, LandmarkMap],
-        factors: Mapping[str, float],
-        scale_sigma: float,
-        floor: float,
-    ) -> "InformationSum":
-        """The sum of `maps` (a robot of the component each, named as in its map), started where the component lies."""
-        robots, k = component.robots, len(component.robots)
-        layout = JoinLayout.of(k, component.map.ids)
-        frames = np.concatenate([component.frames[r] for r in robots])
-        scales = np.array([component.scales.get(r, 1.0) for r in robots])
-        x = np.concatenate([frames, scales, component.map.mean.ravel()])
-        Lambda, eta = np.zeros((layout.size, layout.size)), np.zeros(layout.size)
-        known = 3 * k + np.arange(k)
-        Lambda[known, known] = eta[known] = scale_sigma**-2
-        out = cls(component, layout, factors, floor, x, Lambda, eta, {})
-        for robot in robots:
-            out = out.with_part(robot, InformationTerm.of(out._term(robot, maps[robot]), x))
-        return out.converged()
-
-    def replace(self, newer: Mapping[str, LandmarkMap]) -> "InformationSum":
-        """The sum with these maps in place of their robots' older ones: `Lambda += new - old`, and solved."""
-        now = self
-        for robot, m in newer.items():
-            now = now.with_part(robot, InformationTerm.of(self._term(robot, m), self.x))
-        return now.converged()
-
-    def converged(self) -> "InformationSum":
-        """Solved, every part taken anew until the estimate stays within `NEAR` of where they were taken."""
-        now = self
-        for _ in range(ROUNDS):
-            now = replace(now, x=now._solved())
-            far = [r for r, part in now.parts.items() if np.abs(now.x[part.term.where] - part.at).max() > NEAR]
-            if not far:
-                break
-            for robot in far:
-                now = now.with_part(robot, InformationTerm.of(now.parts[robot].term, now.x))
-        return now
-
-    def joined(self) -> Component:
-        """The component as the sum has it now."""
-        k, robots = self.layout.maps, self.component.robots
-        cov = np.zeros_like(self.Lambda)
-        cov[3:, 3:] = symmetrise(solve_psd(self.Lambda[3:, 3:], np.eye(len(cov) - 3)))
-        frames = self.x[: 3 * k].reshape(k, 3).copy()
-        frames[:, 2] = se2.wrap_angle(frames[:, 2])
-        first = self.layout.landmarks
-        return replace(
-            self.component,
-            map=LandmarkMap(self.layout.ids, self.x[first:].reshape(-1, 2), cov[first:, first:]),
-            frames=dict(zip(robots, frames, strict=True)),
-            frame_cov={r: cov[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] for i, r in enumerate(robots)},
-            scales={r: float(self.x[3 * k + i]) for i, r in enumerate(robots)},
-        )
-
-    def with_part(self, robot: str, part: InformationTerm) -> "InformationSum":
-        """The sum with `part` in place of the robot's older one, not solved: `Lambda += new - old`."""
-        Lambda, eta = self.Lambda.copy(), self.eta.copy()
-        at = np.ix_(part.term.where, part.term.where)
-        old = self.parts.get(robot)
-        if old is None:
-            Lambda[at] += part.H
-            eta[part.term.where] += part.eta
-        else:
-            Lambda[at] += part.H - old.H
-            eta[part.term.where] += part.eta - old.eta
-        return replace(self, Lambda=Lambda, eta=eta, parts={**self.parts, robot: part})
-
-    def _solved(self) -> Float[np.ndarray, " n"]:
-        """The minimum of the sum; the first robot's frame is the gauge."""
-        x = self.x.copy()
-        x[3:] = solve_psd(self.Lambda[3:, 3:], self.eta[3:] - self.Lambda[3:, :3] @ x[:3])
-        return x
-
-    def _term(self, robot: str, m: LandmarkMap) -> MapTerm:
-        extra = self.component.widened.get(robot, {})
-        V = self.factors[robot] * (m.cov + np.diag(np.repeat([extra.get(name, 0.0) for name in m.ids], 2)))
-        V = V + self.floor**2 * np.eye(len(V))
-        k = self.component.robots.index(robot)
-        return MapTerm(self.layout.columns(k, m.ids), m.mean.ravel(), symmetrise(solve_psd(V, np.eye(len(V)))))
-
+from .information_sum import InformationSum
+from .initial_frames import Consensus, Entries, Outlier, PlaceTest, absorbed, find_outliers, place_in
+from .join import fuse, outlier_findings, unsound
+from .result import APART, Component, Decision, Fusion
 
 NOTHING = Fusion((), ())
-MOST = 2000  # variables up to which a sum is kept dense
+MOST = 2000  # landmarks up to which a sum, which is dense, is kept
+TRIALS = 100  # of two parts on each other that may fail before an update goes on; the rest is tried by the next ones
+ELSEWHERE = "landmark-elsewhere"  # the finding of a landmark that is doubted
+Pair = tuple[str, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +34,8 @@ class OnlineFuser:
     """The latest map of every robot heard of and what they fuse to.
 
     sums: a component each, where maps can be exchanged in sums; sightings: those behind the maps when all was judged;
-    judged: how often it was.
+    judged: how often it was; doubts: robot and landmark that were doubted then; due: whether all is to be judged anew;
+    tried: by the first robots of two parts, what they had to go by when they could not be tied (`_Parts.grounds`).
     """
 
     cfg: FuseConfig = field(default_factory=FuseConfig)
@@ -165,37 +45,104 @@ class OnlineFuser:
     sums: tuple[InformationSum, ...] = ()
     sightings: int = 0
     judged: int = 0
+    doubts: frozenset[Pair] = frozenset()
+    due: bool = False
+    tried: Mapping[Pair, float] = field(default_factory=dict)
 
     def update(self, *fresher: LocalMap) -> "OnlineFuser":
-        """The fuser after these maps, each in place of its robot's older one."""
+        """The fuser after these maps, each in place of its robot's older one; all judged anew if that is due."""
+        now = self.grown(*fresher)
+        return now.converged() if now.due else now
+
+    def grown(self, *fresher: LocalMap) -> "OnlineFuser":
+        """The same, but that nothing is judged anew: `due` tells whether it ought to be."""
         latest = {**self.latest, **{m.robot: m for m in fresher}}
-        if not self._holds(fresher, latest):
-            return replace(self, latest=latest).converged()
-        newer = {m.robot: self._named(m) for m in fresher}
-        sums = []
-        for part in self.sums:
-            mine = {robot: newer[robot] for robot in part.component.robots if robot in newer}
-            sums.append(part.replace(mine) if mine else part)
-        components = tuple(
-            old if now is was else now.joined()
-            for old, was, now in zip(self.fusion.components, self.sums, sums, strict=True)
-        )
-        scales = {r: s for c in components for r, s in c.scales.items()}
-        decisions = tuple(replace(d, scale=scales.get(d.robot, d.scale)) for d in self.fusion.decisions)
-        fusion = replace(self.fusion, components=components, decisions=decisions)
-        return replace(self, latest=latest, fusion=fusion, sums=tuple(sums))
+        now = replace(self, latest=latest)
+        if not self.summable:
+            return replace(now, due=True)
+        sums, left = self._put(fresher)
+        parts = _Parts.of(sums, latest, self.cfg)
+        tried = parts.tie(self.recordings, self.tried, self.cfg)
+        robots, outliers = parts.robots, parts.doubt()
+        sums = sorted((part.converged() for part in parts.sums), key=_largest_first)
+        doubts = {(robots[d.owner], d.id) for d in outliers}
+        grown = _sightings(latest) >= JUDGE_AGAIN * self.sightings
+        findings = [f for f in self.fusion.findings if f.code != ELSEWHERE] + outlier_findings(robots, outliers)
+        components = tuple(part.joined() for part in sums)
+        decisions = _decisions(sums, components, self.fusion.decisions)
+        fusion = Fusion(components, decisions, tuple(findings), self.fusion.labels)
+        due = left or grown or not doubts <= self.doubts
+        return replace(now, fusion=fusion, sums=tuple(sums), tried=tried, due=due)
 
     def converged(self) -> "OnlineFuser":
         """All latest maps judged and joined anew, as `fuse` does at the end."""
         fusion = fuse(list(self.latest.values()), self.cfg, self.recordings)
-        judged = replace(self, fusion=fusion, sightings=_sightings(self.latest), judged=self.judged + 1, sums=())
-        return replace(judged, sums=judged.summed())
+        doubts = frozenset((r, name) for c in fusion.components for r, wide in c.widened.items() for name in wide)
+        judged = replace(
+            self,
+            fusion=fusion,
+            sightings=_sightings(self.latest),
+            judged=self.judged + 1,
+            doubts=doubts,
+            due=False,
+        )
+        sums = judged.summed()
+        return replace(judged, sums=sums, tried=_Parts.of(sums, self.latest, self.cfg).tried())
+
+    def caught_up(self, now: "OnlineFuser") -> "OnlineFuser":
+        """The fuser, judged beside, with robots that have come since where they are `now`; it is to be `grown` next.
+
+        One that is tied `now` by what is not in it yet is by itself.
+        """
+        sums = list(self.sums)
+        of = {robot: k for k, part in enumerate(sums) for robot in part.maps}
+        for part in now.sums:
+            new = {r: m for r, m in part.maps.items() if r not in self.latest}
+            known = next((r for r in part.robots if r in of), None)
+            k = len(sums) if known is None else of[known]
+            while new:
+                names = set(sums[k].places) if k < len(sums) else set[str]()
+                tied = next((r for r, m in new.items() if len(names & set(m.ids)) >= ENOUGH), None)
+                if tied is None or known is None:
+                    robot, m = new.popitem()
+                    sums.append(self._alone(robot, m))
+                    known = known or robot
+                    continue
+                T = se2.compose(sums[k].own[known][:3], se2.inverse(part.own[known][:3]))
+                one = self._alone(tied, new.pop(tied))
+                sums[k] = sums[k].tied(one, np.asarray(se2.compose(T, part.own[tied][:3])))
+        came = {r: m for r, m in now.latest.items() if r not in self.latest}
+        return replace(self, latest={**self.latest, **came}, sums=tuple(sums))
+
+    def without(self, robots: Iterable[str]) -> "OnlineFuser":
+        """The fuser that never heard of these robots' maps; who is left of a part of theirs is tied anew when it is
+        `grown` next.
+        """
+        gone = set(robots) & set(self.latest)
+        if not gone:
+            return self
+        sums: list[InformationSum] = []
+        for part in self.sums:
+            if gone.isdisjoint(part.maps):
+                sums.append(part)
+            else:
+                sums += [self._alone(r, m) for r, m in part.maps.items() if r not in gone]
+        latest = {r: m for r, m in self.latest.items() if r not in gone}
+        decisions = tuple(d for d in self.fusion.decisions if d.robot not in gone)
+        labels = {r: names for r, names in self.fusion.labels.items() if r not in gone}
+        fusion = Fusion((), decisions, self.fusion.findings, labels)
+        return replace(self, latest=latest, fusion=fusion, sums=tuple(sums), tried={})
+
+    @property
+    def summable(self) -> bool:
+        """Whether maps can be exchanged in sums: of the weights asked for, and of so many landmarks."""
+        cfg = self.cfg
+        plain = (cfg.weights, cfg.identities, cfg.repeats, cfg.robot_sightings) == ("full-scaled", "known", 1, False)
+        return plain and all(len(c.map) <= MOST for c in self.fusion.components)
 
     def summed(self) -> tuple[InformationSum, ...]:
         """Sums of the components as they were judged; none where the weights asked for are not those of a sum."""
-        cfg = self.cfg
-        plain = (cfg.weights, cfg.identities, cfg.repeats, cfg.robot_sightings) == ("full-scaled", "known", 1, False)
-        if not plain or any(4 * len(c.robots) + 2 * len(c.map) > MOST for c in self.fusion.components):
+        if not self.summable:
             return ()
         factors = {d.robot: d.variance_factor or 1.0 for d in self.fusion.decisions}
         return tuple(
@@ -203,32 +150,51 @@ class OnlineFuser:
                 c,
                 {r: self._named(self.latest[r]) for r in c.robots},
                 {r: factors[r] for r in c.robots},
-                cfg.scale_sigma,
-                cfg.floor if len(c.robots) > 1 else 0.0,
+                self.cfg.scale_sigma,
+                self.cfg.floor,
             )
             for c in self.fusion.components
         )
 
-    def _holds(self, fresher: tuple[LocalMap, ...], latest: Mapping[str, LocalMap]) -> bool:
-        """Whether what was judged last still says what becomes of these maps."""
-        known = {r for part in self.sums for r in part.component.robots}
-        return (
-            bool(self.sums)
-            and _sightings(latest) < JUDGE_AGAIN * self.sightings
-            and all(
-                m.robot in known
-                and m.submap.ids == self.latest[m.robot].submap.ids
-                and m.log_hash == self.latest[m.robot].log_hash
-                and bool(np.isfinite(m.submap.mean).all() and np.isfinite(m.submap.cov).all())
-                and is_positive_definite(m.submap.landmarks.cov)
-                for m in fresher
-            )
-        )
+    def _alone(self, robot: str, m: LandmarkMap) -> InformationSum:
+        return InformationSum.alone(robot, m, self.cfg.scale_sigma, self.cfg.floor)
+
+    def _put(self, fresher: Iterable[LocalMap]) -> tuple[list[InformationSum], bool]:
+        """The sums with these maps in them, those of new robots by themselves; whether any must be judged first."""
+        of = {robot: k for k, part in enumerate(self.sums) for robot in part.maps}
+        refused = {d.robot for d in self.fusion.decisions} - of.keys()
+        logs = {m.log_hash for m in self.latest.values() if m.log_hash}
+        newer: dict[int, dict[str, LandmarkMap]] = {}
+        alone: list[InformationSum] = []
+        left = False
+        for m in fresher:
+            old = self.latest.get(m.robot)
+            ids = self._names(m)
+            if unsound(m) is not None or len(set(ids)) < len(ids):
+                left = True
+            elif m.robot in of:
+                part = self.sums[of[m.robot]]
+                if old is None or m.log_hash != old.log_hash or not set(part.maps[m.robot].ids) <= set(ids):
+                    left = True
+                else:
+                    newer.setdefault(of[m.robot], {})[m.robot] = self._named(m)
+            elif m.robot in refused:
+                left |= old is not None and m.log_hash != old.log_hash
+            elif m.log_hash in logs and old is None:
+                left = True
+            else:
+                logs |= {m.log_hash} - {""}
+                alone.append(self._alone(m.robot, self._named(m)))
+        return [*(part.put(newer.get(k, {})) for k, part in enumerate(self.sums)), *alone], left
+
+    def _names(self, m: LocalMap) -> tuple[str, ...]:
+        labels = self.fusion.labels.get(m.robot, {})
+        return tuple(labels.get(name, name) for name in m.submap.ids)
 
     def _named(self, m: LocalMap) -> LandmarkMap:
         """Its landmarks by their names in the team's map."""
-        labels, own = self.fusion.labels.get(m.robot, {}), m.submap.landmarks
-        return LandmarkMap(tuple(labels.get(name, name) for name in own.ids), own.mean, own.cov, own.frame)
+        own = m.submap.landmarks
+        return LandmarkMap(self._names(m), own.mean, own.cov, own.frame)
 
     @property
     def largest(self) -> Component | None:
@@ -249,6 +215,142 @@ class OnlineFuser:
     def log_det(self) -> float | None:
         """The logarithm of the determinant of its landmark covariance; None while nothing is mapped."""
         return float(np.linalg.slogdet(self.largest.map.cov)[1]) if self.largest and len(self.largest.map) else None
+
+
+def _largest_first(part: InformationSum) -> tuple[int, object]:
+    return -len(part.maps), in_order(part.robots[0])
+
+
+@dataclass(slots=True)
+class _Parts:
+    """Sums that are being tied and doubted: their maps (of `robots`, in this order) laid out as each has them.
+
+    held[k]: which of all landmarks sum k has; common: how many two of them have in common; behind: sightings of each.
+    """
+
+    sums: list[InformationSum]
+    robots: list[str]
+    maps: list[LandmarkMap]
+    laid: list[Consensus]
+    held: Float[np.ndarray, "k n"]
+    common: Float[np.ndarray, "k k"]
+    behind: Float[np.ndarray, " k"]
+
+    @classmethod
+    def of(cls, sums: Iterable[InformationSum], latest: Mapping[str, LocalMap], cfg: FuseConfig) -> "_Parts":
+        sums = sorted(sums, key=_largest_first)
+        robots = [robot for part in sums for robot in part.robots]
+        maps = [part.maps[robot] for part in sums for robot in part.robots]
+        own = np.array([part.own[robot] for part in sums for robot in part.robots]).reshape(-1, 4)
+        entries = Entries.of(maps)
+        entries = replace(entries, local=entries.local / own[entries.owner, 3:])
+        laid, k = [], 0
+        for part in sums:
+            one = Consensus(entries, cfg)
+            for _ in part.robots:
+                one.place(k, own[k, :3])
+                k += 1
+            laid.append(one)
+        held = np.array([one.count > 0 for one in laid], dtype=np.float32).reshape(len(sums), len(entries.ids))
+        behind = np.array([_sightings({r: latest[r] for r in part.robots}) for part in sums], dtype=float)
+        return cls(sums, robots, maps, laid, held, held @ held.T, behind)
+
+    def grounds(self) -> Float[np.ndarray, "k k"]:
+        """What there is to tell by whether two are one: landmarks in common times sightings behind the lesser."""
+        return np.asarray(self.common * np.minimum(self.behind, self.behind[:, None]))
+
+    def tie(
+        self, recordings: Mapping[str, str] | None, before: Mapping[Pair, float], cfg: FuseConfig
+    ) -> dict[Pair, float]:
+        """Two parts are one where what they share shows it, asked when that is a quarter more than `before`.
+
+        What was tried by now.
+        """
+        first = [part.robots[0] for part in self.sums]
+        at = {robot: k for k, robot in enumerate(first)}
+        tried = np.zeros(self.common.shape)
+        for (one, other), n in before.items():
+            if one in at and other in at:
+                tried[at[one], at[other]] = tried[at[other], at[one]] = n
+        origins = ["" if recordings is None else recordings.get(robot, "") for robot in self.robots]
+        test = PlaceTest(self.maps, self.robots, origins, cfg)
+        alive = np.ones(len(self.sums), dtype=bool)
+        trials = 0
+        while len(self.sums) and trials < TRIALS:
+            fresh = self.grounds() > JUDGE_AGAIN * tried
+            open_ = np.triu(np.where(fresh, self.common, 0.0), 1) * alive * alive[:, None]
+            if open_.max() < ENOUGH:
+                break
+            a, b = sorted(map(int, np.unravel_index(int(np.argmax(open_)), open_.shape)), key=self._size)
+            tried[a, b] = tried[b, a] = self.common[a, b] * min(self.behind[a], self.behind[b])
+            T = self._lies(a, b, test)
+            if T is None:
+                trials += 1
+                continue
+            self.sums[a] = self.sums[a].tied(self.sums[b], T)
+            alive[b] = False
+            self.behind[a] += self.behind[b]
+            self.held[a] = np.maximum(self.held[a], self.held[b])
+            self.common[a] = self.common[:, a] = self.held @ self.held[a]
+        kept = np.flatnonzero(alive).tolist()
+        self.sums, self.laid = [self.sums[k] for k in kept], [self.laid[k] for k in kept]
+        self.held, self.common, self.behind = self.held[kept], self.common[np.ix_(kept, kept)], self.behind[kept]
+        return self._by_name(tried[np.ix_(kept, kept)])
+
+    def _lies(self, a: int, b: int, test: PlaceTest) -> Float[np.ndarray, "3"] | None:
+        """Where part b lies in part a, in which it is placed; None where nothing shows it."""
+        into, other = self.laid[a], self.laid[b]
+        if len(other.placed) > 1:
+            return absorbed(into, other, test)
+        (k,) = other.placed
+        T = place_in(into, test, k)
+        if T is not None:
+            into.place(k, T)
+        return T
+
+    def tried(self) -> dict[Pair, float]:
+        """As if all had been tried on each other."""
+        return self._by_name(self.grounds())
+
+    def doubt(self) -> list[Outlier]:
+        """The landmarks that lie elsewhere in one map than in the others of its sum, which trusts them less now."""
+        outliers = [d for one in self.laid if len(one.placed) > 1 for d in find_outliers(one)]
+        wide: dict[str, dict[str, float]] = {}
+        for d in outliers:
+            wide.setdefault(self.robots[d.owner], {})[d.id] = d.residual**2
+        self.sums = [part.doubting({r: wide[r] for r in part.maps if r in wide}) for part in self.sums]
+        return outliers
+
+    def _size(self, k: int) -> tuple[int, int]:
+        return -len(self.laid[k].placed), k
+
+    def _by_name(self, grounds: Float[np.ndarray, "k k"]) -> dict[Pair, float]:
+        first = [part.robots[0] for part in self.sums]
+        pairs = np.argwhere(np.triu(grounds, 1) > 0).tolist()
+        return {(first[a], first[b]): float(grounds[a, b]) for a, b in pairs}
+
+
+def _decisions(
+    sums: Sequence[InformationSum], components: Sequence[Component], judged: Sequence[Decision]
+) -> tuple[Decision, ...]:
+    """What became of each robot; of those that are in no sum, what was `judged`."""
+    before = {d.robot: d for d in judged}
+    out = dict(before)
+    for part, component in zip(sums, components, strict=True):
+        for i, robot in enumerate(component.robots):
+            ids = part.maps[robot].ids
+            n = sum(len(component.members[name]) > 1 for name in ids)
+            old, scale, factor = before.get(robot), component.scales[robot], part.factors[robot]
+            if len(component.robots) == 1 and len(sums) > 1:
+                refused = old is not None and old.decision == "refused"
+                why = old.reason if old is not None and refused else f"nothing ties it to the others yet{APART}"
+                out[robot] = Decision(robot, n, "refused", why, scale, factor)
+            elif i == 0:
+                out[robot] = Decision(robot, n, "reference", "its first pose is the map's frame", scale, factor)
+            else:
+                why = f"shares {n} landmarks with the others"
+                out[robot] = Decision(robot, n, "merged", why, scale, factor)
+    return tuple(out[robot] for robot in sorted(out, key=in_order))
 
 
 def _sightings(maps: Mapping[str, LocalMap]) -> int:

@@ -33,7 +33,7 @@ from .laser_team import Starts, WovenTeam, nobody
 from .laser_weaver import LaserWeaver
 from .messages import LARGEST, MapState, Numbers, RefusedError, RobotState, Snapshot, Tile, count, encode
 from .placed import Placed
-from .shared_map import Fused, SharedMap
+from .shared_map import Fused, SharedMap, judged
 from .store import Store
 from .told import MOST_MAPS
 from .topics import LEVEL, Topics
@@ -55,6 +55,8 @@ from .transport import (
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
+
+    from ..fusion.online import OnlineFuser
 
 KEPT = 8  # questions
 
@@ -175,6 +177,7 @@ STATE_EVERY = 1.0  # [s], and as soon as landmark robots are fused
 CLOCK_EVERY = 5.0  # [s]
 FUSED = 0.25  # of the time between two solutions of laser robots: how often landmark robots are fused at most
 JOINING_REST = 3.0  # the time without joining laser robots and landmark robots, in that it took
+JUDGING_REST = 3.0  # the time without judging landmark maps anew, in that it took
 FUSING_REST = 0.25  # the time without fusing is at least so many times what fusing took
 BEHIND = 10  # messages of a robot that are missing, or not worked in: beyond, it catches up
 TELL_CLOCK = 1.0  # [s] that a clock is off before it is told
@@ -253,7 +256,8 @@ class MapProcess:
         self._remembering: tuple[str, Future[Snapshot | None]] | None = None
         self._ended = False
         self._fusing: tuple[float, Future[Fused]] | None = None  # since when [s]
-        self._fuse_due = self._hearsay_due = self._join_due = float("-inf")
+        self._judging: tuple[float, Future[OnlineFuser]] | None = None  # since when [s]
+        self._judge_due = self._fuse_due = self._hearsay_due = self._join_due = float("-inf")
         self.joins: Joins | None = None
         self._joining: tuple[float, Future[Joined]] | None = None  # since when [s]
         self._joined_of: object = None
@@ -320,6 +324,7 @@ class MapProcess:
             self._safely("asking for messages", lambda: self._ask(now))  # noqa: B023
             self._safely("weaving", lambda: self._weave(every))
             self._safely("mapping a robot that is gone", self._remember)
+            self._safely("judging landmark maps", self._judge)
             if self._safely("fusing", lambda: self._fuse(every)):
                 state = float("-inf")
             self._safely("joining lasers and landmarks", lambda: self._join(every))
@@ -398,6 +403,18 @@ class MapProcess:
         self._fuse_due = max(begin + FUSED * every, now + FUSING_REST * (now - begin))
         self._tell(self.shared.take_fused(fused.result()))
         return True
+
+    def _judge(self) -> None:
+        """All landmark maps are judged anew where that is due, beside fusing them as they come."""
+        now = time.monotonic()
+        if self._judging is not None:
+            begin, fuser = self._judging
+            if fuser.done() and self._fusing is None:
+                self._judging = None
+                self._judge_due = now + JUDGING_REST * (now - begin)
+                self.shared.take_judged(fuser.result())
+        elif self.shared.fuser.due and now >= self._judge_due:
+            self._judging = now, beside(partial(judged, self.shared.fuser))
 
     def _join(self, every: float) -> None:
         """What laser robots and landmark robots made apart is tied by what they saw of each other, beside."""

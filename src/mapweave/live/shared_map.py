@@ -42,7 +42,7 @@ class Fused(NamedTuple):
 class Fusing(NamedTuple):
     """Snapshots to be fused. Running it touches nothing but its own numbers; with a large team it takes a while.
 
-    names: robot of a log -> what the team calls it.
+    names: robot of a log -> what the team calls it; judged: maps of some time ago, `judged` meanwhile.
     """
 
     fuser: OnlineFuser
@@ -50,9 +50,10 @@ class Fusing(NamedTuple):
     names: Mapping[str, str]
     used: Mapping[str, int]
     refused: Sequence[str]
+    judged: OnlineFuser | None = None
 
     def run(self) -> Fused:
-        """The maps joined: judged anew, or put in place of older ones; without those that can't be joined."""
+        """The maps put in place of older ones, without those that can't be joined; whether to judge all is `due`."""
         fuser, _, failed = without_culprits([m.robot for m in self.maps], self._joined)
         why = [f"{self.names[robot]}: refused, its snapshot: {error}" for robot, error in failed.items()]
         return Fused(fuser or OnlineFuser(self.fuser.cfg), self.names, self.used, [*self.refused, *why])
@@ -60,13 +61,24 @@ class Fusing(NamedTuple):
     def _joined(self, robots: Sequence[str]) -> OnlineFuser:
         maps = [m for m in self.maps if m.robot in robots]
         recordings = {m.robot: m.source for m in maps}
-        fuser = self.fuser
-        if set(fuser.latest) - set(recordings):  # who is refused by now is out of the sum
-            fuser = OnlineFuser(fuser.cfg)
-        fuser = replace(fuser, recordings=recordings).update(*maps)
-        if not all(np.isfinite(c.map.mean).all() and np.isfinite(c.map.cov).all() for c in fuser.fusion.components):
-            raise EstimateError("its map has no finite place in that of the others")
-        return fuser
+        fuser = self.fuser if self.judged is None else self.judged.caught_up(self.fuser)
+        fuser = fuser.without(set(fuser.latest) - set(recordings))  # who is refused by now is out of the sum
+        return _finite(replace(fuser, recordings=recordings).grown(*maps))
+
+
+def judged(fuser: OnlineFuser) -> OnlineFuser:
+    """All maps of the fuser judged anew, without those that can't be; touches nothing but its own numbers."""
+
+    def of(robots: Sequence[str]) -> OnlineFuser:
+        return _finite(fuser.without(set(fuser.latest) - set(robots)).converged())
+
+    return without_culprits(list(fuser.latest), of)[0] or OnlineFuser(fuser.cfg)
+
+
+def _finite(fuser: OnlineFuser) -> OnlineFuser:
+    if not all(np.isfinite(c.map.mean).all() and np.isfinite(c.map.cov).all() for c in fuser.fusion.components):
+        raise EstimateError("its map has no finite place in that of the others")
+    return fuser
 
 
 @dataclass(slots=True)
@@ -92,6 +104,7 @@ class SharedMap:
     _woven: WovenTeam | None = None
     _fused: Fused | None = None
     _fusions: int = 0
+    _judged: OnlineFuser | None = None
 
     def fusing(self, ledgers: Iterable[Ledger]) -> Fusing | None:
         """The newest snapshots where any is fresher than those of the map; None when none is."""
@@ -101,7 +114,7 @@ class SharedMap:
             if ledger.snapshot is not None and isinstance(ledger.record, LandmarkRecord) and not ledger.fault
         ]
         used = {ledger.robot: s.last for ledger, s in snapshots}
-        if used.items() <= self.used.items():
+        if used.items() <= self.used.items() and self._judged is None:
             return None
         maps: dict[str, LocalMap] = {}
         refused: list[str] = []
@@ -113,7 +126,8 @@ class SharedMap:
             except Exception as error:  # noqa: BLE001  (no number in it may cost others their map)
                 refused.append(f"{ledger.robot}: refused, its snapshot: {in_words(error)}")
         names = {m.robot: name for name, m in maps.items()}
-        return Fusing(replace(self.fuser, cfg=self.cfg), tuple(maps.values()), names, used, refused)
+        fuser = replace(self.fuser, cfg=self.cfg)
+        return Fusing(fuser, tuple(maps.values()), names, used, refused, self._judged)
 
     def take_fused(self, fused: Fused) -> list[Tile]:
         """Landmark robots stand as they were fused; what can't be fused is said in `decisions`.
@@ -121,8 +135,12 @@ class SharedMap:
         The tiles that are not as they were told last, for a part may have another number.
         """
         self._fusions += 1
-        self.used, self.fuser, self._fused = dict(fused.used), fused.fuser, fused
+        self.used, self.fuser, self._fused, self._judged = dict(fused.used), fused.fuser, fused, None
         return self._laid_out()
+
+    def take_judged(self, fuser: OnlineFuser) -> None:
+        """All maps of some time ago, judged; those that came since are put in place of theirs when next it is fused."""
+        self._judged = fuser
 
     def take(self, team: WovenTeam) -> list[Tile]:
         """Laser robots stand as `team` has them; the tiles that are not as they were told last."""
