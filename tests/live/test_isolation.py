@@ -43,12 +43,52 @@ def test_those_that_something_fails_for_are_left_out_and_named():
     assert without_culprits(["a", "b"], fails_with("x")) == (("a", "b"), ("a", "b"), {})
     made, kept, failed = without_culprits(["a", "b", "c"], fails_with("b"))
     assert made == kept == ("a", "c")
-    assert failed == {"b": "1 robots"}
+    assert failed == {"b": "2 robots"}
     made, kept, failed = without_culprits(["a", "b", "c"], fails_with("x", together=("a", "c")))
     assert made == kept == ("a", "b")
     assert failed == {"c": "3 robots"}
+    made, kept, failed = without_culprits(["a", "b", "c"], fails_with("a", together=("b", "c")))
+    assert made == kept == ("b",)
     assert without_culprits(["a"], fails_with("a")) == (None, (), {"a": "1 robots"})
     assert without_culprits([], fails_with("a")) == ((), (), {})
+
+
+def counted(make):
+    def once(robots):
+        once.calls += 1
+        return make(robots)
+
+    once.calls = 0
+    return once
+
+
+def test_one_culprit_among_many_is_found_by_halves():
+    names = [f"r{k}" for k in range(64)]
+    make = counted(fails_with("r41"))
+    made, _, failed = without_culprits(names, make)
+    assert made == tuple(name for name in names if name != "r41")
+    assert list(failed) == ["r41"]
+    assert make.calls <= 2 * 6 + 1
+
+
+def test_one_that_fails_for_itself_alone_is_kept_where_others_hold_it():
+    def make(robots):
+        if "c" in robots or "b" not in robots:
+            raise EstimateError("c spoils all, b alone says where they are")
+        return tuple(robots)
+
+    assert without_culprits(["b", "a", "d", "c"], make)[:2] == (("b", "a", "d"), ("b", "a", "d"))
+
+
+def test_one_beside_whom_all_others_fail_is_the_one_that_is_left_out():
+    def make(robots):
+        if "a" in robots and len(robots) > 1:
+            raise EstimateError("nobody stands beside a")
+        return tuple(robots)
+
+    made, _, failed = without_culprits(["a", "b", "c", "d"], make)
+    assert made == ("b", "c", "d")
+    assert list(failed) == ["a"]
 
 
 @pytest.fixture
