@@ -4,10 +4,10 @@
 
 A case is a sensor, numbers of robots, and the rate: seconds of driving in one second. The map process is a process of
 its own; all robots are sessions of this one, which tells what real robots would (rows or scans, statuses, snapshots,
-computed beforehand, so that only the map process's work is measured). Robots of an office (`laser`) drive rounds from
-one dock, which the map process is told; then the next round. Those with a `scanner` of 360 beams all round that looks
-ten times a second do as well, and nobody tells where they begin. `--out` writes figures and curves too, `--drawn` draws
-them anew.
+computed beforehand, so that only the map process's work is measured). The map process is told all names, as a team of
+more than 64 must. Robots of an office (`laser`) drive rounds from one dock, which the map process is told; then the
+next round. Those with a `scanner` of 360 beams all round that looks ten times a second do as well, and nobody tells
+where they begin. `--out` writes figures and curves too, `--drawn` draws them anew.
 
 Heard: from putting a message on the network until it is in its place in the map process's store. In the map: until the
 process has told a map that holds it. Processor and memory are those of the map process, all its threads. In one map:
@@ -174,7 +174,7 @@ def measured(sensor: str, robots: int, rate: float, seconds: float, *, flood: bo
     every.sort(key=lambda one: one[0])
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, __file__, "--mapping", folder, *(["--hidden"] if sensor in HIDDEN else [])]
-        command += ["--expected", ",".join(f"r{k}" for k in range(1, robots + 1))] if flood else []
+        command += ["--expected", ",".join(f"r{k}" for k in range(1, robots + 1))]
         mapping = subprocess.Popen(command, env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"})
         while not Path(folder, "ready").exists():
             if mapping.poll() is not None:

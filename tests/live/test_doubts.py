@@ -198,6 +198,16 @@ def test_robots_that_are_expected_by_name_have_a_place_each_however_many(store):
     assert not inbox.refused
 
 
+def test_a_robot_more_than_are_taken_on_unnamed_says_what_to_do_about_it(store):
+    inbox = Inbox(store)
+    for k in range(1, STATED + 2):
+        header = msgspec.structs.replace(decode(TOLD[0]), robot=f"r{k}", log_robot=f"robot{k}")
+        inbox.offer(f"r{k}", encode(header), 0.0)
+    told = [inbox.unused()[f"r{STATED + 1}"], *inbox.not_used(), inbox.news[-1]]
+    assert len(told) == 3
+    assert all("--robots NAME,NAME,.. of the map process" in words for words in told)
+
+
 def test_a_number_far_ahead_is_not_kept_and_a_last_number_nobody_told_is_forgotten(store):
     inbox = Inbox(store)
     hear(inbox, [TOLD[0], encode(Closed(robot="r1", run="a", seq=AHEAD + 9))])

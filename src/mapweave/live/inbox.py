@@ -237,7 +237,10 @@ class Inbox:
             if not (ledger.there or ledger.own or ledger.count):
                 del self.ledgers[name]
                 return
-        raise RefusedError("too many robots", f"{STATED} are known; those that --robots names have a place each")
+        raise RefusedError(
+            "too many robots",
+            f"{STATED} are taken on unnamed: --robots NAME,NAME,.. of the map process takes on all it names",
+        )
 
     def _number(self, ledger: Ledger, message: Numbered, payload: bytes, now: float) -> None:
         ledger.heard.append(now)
