@@ -96,6 +96,12 @@ def test_a_range_that_overflows_the_filter_is_an_error_and_no_traceback(log):
         local_map(with_number(log, "range", 1e200))
 
 
+def test_wheels_of_which_every_row_is_impossible_are_none(log):
+    m, plain = local_map(with_number(log, "v", 1e9, slice(None))), local_map(without_odometry(log))
+    assert m.odometry == plain.odometry == "none"
+    np.testing.assert_array_equal(m.submap.mean, plain.submap.mean)
+
+
 def test_sane_rows_stay_as_they_are(log):
     assert without_impossible(log) is log
 

@@ -299,3 +299,15 @@ def test_a_robot_that_announces_wheels_and_tells_none_is_mapped_without(tmp_path
     told, without = ([(m.robot, m.odometry, m.track.pose.tobytes()) for m in each.local] for each in results)
     assert told == without
     assert [row[:2] for row in told] == [("robot1", "none"), ("robot2", "none")]
+
+
+def test_that_a_robot_tells_none_of_its_wheels_is_said_once_and_no_longer_when_it_does(store):
+    inbox = Inbox(store)
+    told = messages(team()[0])
+    silent = [msgspec.structs.replace(m, drive=b"") if isinstance(m, Rows) and m.seq < 8 else m for m in told]
+    hear(inbox, map(encode, silent[:8]))
+    line = "r1: it announced wheels, and told no row of them in 3 s: it is mapped without"
+    assert inbox.wheelless() == [line]
+    assert list(inbox.news).count(line) == 1
+    hear(inbox, map(encode, silent[8:]))
+    assert inbox.wheelless() == []

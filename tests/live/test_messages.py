@@ -71,6 +71,38 @@ def test_a_robot_told_message_by_message_has_the_map_that_its_whole_log_gives():
     np.testing.assert_array_equal(unpack(told.mean, 2).T, whole.mean)
 
 
+def without_wheels(log, until):
+    """Messages of a robot that announces wheels and tells none of them before so many of its own."""
+    return [
+        msgspec.structs.replace(m, drive=b"") if isinstance(m, Rows) and m.seq < until else m for m in messages(log)
+    ]
+
+
+def test_wheels_that_were_announced_and_never_told_are_none_within_seconds():
+    log = team()[0]
+    told = without_wheels(log, 99)
+    robot, plain = (
+        LandmarkRobot(first, EkfSlamConfig()) for first in (told[0], msgspec.structs.replace(told[0], odometry=False))
+    )
+    for message in told[1 : 9 if log.span[1] - log.span[0] > 9 else None]:
+        robot.add(message)
+        plain.add(message)
+    assert robot.record.wheelless
+    assert robot.submap.ids == plain.submap.ids != ()
+    np.testing.assert_array_equal(robot.submap.mean, plain.submap.mean)
+
+
+def test_wheels_that_come_late_are_used_from_the_first_of_them_on():
+    log = team()[0]
+    late, told = LandmarkRobot(messages(log)[0], EkfSlamConfig()), without_wheels(log, 8)
+    for message in told[1:]:
+        late.add(message)
+    assert not late.record.wheelless
+    whole = grow(late.record.log, EkfSlamConfig(), [log.span[1]]).maps[0].submap
+    assert late.submap.ids == whole.ids
+    np.testing.assert_allclose(late.submap.mean, whole.mean, atol=1e-9)
+
+
 def sound():
     return {
         "rows": Rows(robot="r1", run="a", seq=3, drive=pack([0.0, 1], [1, 1], [0, 0]), seen=b""),

@@ -372,7 +372,7 @@ def live_map(
         for line in process.summary():
             say(line)
         result = _final(inbox, _with_starts(options, known, inbox, say), process.finding)
-    result = _with_findings(result, (*process.findings, *inbox.not_used()))
+    result = _with_findings(result, (*process.findings, *inbox.not_used(), *inbox.wheelless()))
     result.write(out, force=force)
     return result
 

@@ -56,8 +56,8 @@ def map_of(
     Of a robot without odometry, whose pieces of map are tied anew by every row, nothing is kept at times; known: its
     pieces that were played before.
     """
-    cfg = config_for(log, cfg)
     log = without_impossible(log)
+    cfg = config_for(log, cfg)
     first = done = replay(log, cfg, times=times) if cfg.odometry else replay_in_pieces(log, cfg, known)
     dropped, findings, kept = dict(log.dropped), list(log.findings), log
     left_out: list[str] = []
@@ -200,8 +200,8 @@ def grow(log: LandmarkLog, cfg: EkfSlamConfig, times: Sequence[float], *, tracks
     filter. tracks: whether those maps hold all poses until then, or the latest alone.
     """
     whole, first = map_of(log, cfg, times)
-    cfg = config_for(log, cfg)
     log = without_impossible(log)
+    cfg = config_for(log, cfg)
     if cfg.odometry:
         return Growth(whole, tuple(times), tuple(_on_the_way(log, first, tracks=tracks)), first.filtered)
     return Growth(whole, tuple(times), tuple(_by_pieces(log, cfg, times)), first.filtered)

@@ -16,7 +16,7 @@ from ..core.laser_log import LaserLog
 from ..core.names import robot_name
 from .door import decode, envelope_of
 from .isolation import in_words
-from .landmark_stream import LandmarkRecord, rows_told
+from .landmark_stream import WHEELS_LATE, LandmarkRecord, rows_told
 from .laser_stream import LaserRecord, whole_log
 from .messages import (
     Closed,
@@ -51,6 +51,7 @@ OTHER = "other history", "another robot has this name, or it began a new history
 NOT_EXPECTED = "not expected"
 TURNED_AWAY = {NOT_EXPECTED, "too many robots"}  # reasons for which a robot is not heard at all
 MOST_WHY = 500  # letters of why a robot is not used: its own words may be in it
+WHEELLESS = f"it announced wheels, and told no row of them in {WHEELS_LATE:g} s: it is mapped without"
 RIVALS = "?"  # after a robot's name, which has none in it: what was told in its name beside what is used
 
 
@@ -316,7 +317,10 @@ class Inbox:
         elif ledger.record is None or not isinstance(message, Rows | Scans | Closed):
             raise RefusedError("malformed", f"a {type(message).__name__} in a history without a header")
         else:
+            before = _wheelless(ledger)
             ledger.record.add(message)
+            if _wheelless(ledger) and not before:
+                self.news.append(f"{ledger.robot}: {WHEELLESS}")
 
     def _expect_room_for(self, ledger: Ledger, header: Header) -> None:
         """Raises RefusedError when this robot can't be beside those that are known and have as good a claim.
@@ -359,6 +363,10 @@ class Inbox:
         others = [(name, ": ".join(OTHER)) for name, x in self.ledgers.items() if x.refused[OTHER[0]]]
         away = [(name, str(refused)) for name, refused in self._away() if refused.reason != NOT_EXPECTED]
         return [f"{name}: {why}: not used" for name, why in [*others, *away, *self._faults().items()]]
+
+    def wheelless(self) -> list[str]:
+        """A line for each robot that has told none of the wheels that it announced."""
+        return [f"{name}: {WHEELLESS}" for name, ledger in self.ledgers.items() if _wheelless(ledger)]
 
     def _away(self) -> list[tuple[str, RefusedError]]:
         return [(name, refused) for name, refused in self._turned_away.items() if name not in self.ledgers]
@@ -521,6 +529,10 @@ class Inbox:
             kept = dict(self._store.get(ledger.robot, first, last))
             for seq in range(first, last + 1):
                 yield decode(kept.get(seq) or self._unsaved[ledger.robot, seq])
+
+
+def _wheelless(ledger: Ledger) -> bool:
+    return isinstance(ledger.record, LandmarkRecord) and ledger.record.wheelless
 
 
 def _is_of(robot: str, header: Header) -> bool:

@@ -9,7 +9,7 @@ from ..core.run import Runner
 from ..landmarks import ekf_slam
 from ..landmarks.config import EkfSlamConfig
 from ..landmarks.landmark_map import Submap
-from ..landmarks.mapping import config_for, local_map, without_impossible
+from ..landmarks.mapping import local_map, without_impossible
 from .columns import pack, pack_triangle
 from .door import decode
 from .landmark_stream import LandmarkRecord
@@ -17,6 +17,7 @@ from .messages import Header, Numbered, Snapshot
 from .store import Store
 
 WANDERING_EVERY = 32  # messages: a robot without odometry is mapped anew from its first row
+WANDERING_FIRST = frozenset({4, 8, 16})  # messages after which it is, before
 
 
 class LandmarkRobot:
@@ -26,8 +27,9 @@ class LandmarkRobot:
         self.record = LandmarkRecord.begin(header)
         self.t: float | None = None
         self.last = 0
-        self._cfg = cfg if header.odometry else config_for(self.record.log, cfg)
-        self._seed = seed
+        self._cfg, self._seed = cfg, seed
+        self._driven = False  # whether a row of its wheels is there
+        self._wandering = not (cfg.odometry and header.odometry)
         self._submap: Submap | None = None
         self._counts: dict[str, int] = {}
         self._runner = Runner(ekf_slam, self._cfg, seed)
@@ -44,10 +46,17 @@ class LandmarkRobot:
         log = without_impossible(self.record.log_of(part))
         for name, n in log.sightings.counts().items():
             self._counts[name] = self._counts.get(name, 0) + n
-        if not self._cfg.odometry:
-            if message.seq % WANDERING_EVERY == 0:
+        self._driven |= log.odometry is not None
+        announced = self._cfg.odometry and self.record.header.odometry
+        if not announced or (self.record.wheelless and not self._driven):
+            if not self._wandering or message.seq % WANDERING_EVERY == 0 or message.seq in WANDERING_FIRST:
                 self._map_anew()
+            self._wandering = True
             return
+        if self._wandering:  # its wheels were late
+            self._wandering = False
+            self._runner = Runner(ekf_slam, self._cfg, self._seed)
+            log = without_impossible(self.record.log)
         for event in log.events():
             self._runner.push(event)
             self._submap = None

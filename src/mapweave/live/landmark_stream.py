@@ -14,6 +14,7 @@ from .columns import pack, unpack
 from .door import MOST_NAMES, expect_span
 from .messages import Closed, Header, Message, Numbered, RefusedError, Rows
 
+WHEELS_LATE = 3.0  # [s] of its rows after which a robot that has told none of its wheels is taken to have none
 MOST_SIGHTINGS = 20_000  # in one message; packets of a log are split beyond
 
 
@@ -136,6 +137,12 @@ class LandmarkRecord:
         if self.keep:
             self.parts.append(part)
         return part
+
+    @property
+    def wheelless(self) -> bool:
+        """Whether wheels were announced, and `WHEELS_LATE` of its rows are here without one of them."""
+        silent = self.header.odometry and self._driven == -np.inf
+        return silent and max(self._seen, self._directed) > self._first + WHEELS_LATE
 
     @staticmethod
     def _expect_later(t: Float[np.ndarray, " n"], before: float, what: str) -> None:

@@ -559,7 +559,7 @@ class MapProcess:
             fused=self.shared.fused,
             robots=[self._robot(ledger, now) for _, ledger in sorted(self.inbox.ledgers.items())],
             landmarks=self.shared.landmarks,
-            decisions=[*self.findings, *self.inbox.not_used(), *self.shared.decisions],
+            decisions=[*self.findings, *self.inbox.not_used(), *self.inbox.wheelless(), *self.shared.decisions],
             refused=refused,
             unused=self.inbox.unused(),
         )
