@@ -2,6 +2,7 @@
 
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -106,3 +107,10 @@ def test_a_robot_driven_by_a_recording_ends_when_that_is_closed(tmp_path, record
     assert any("follows" in words for words in said)
     with pytest.raises(UsageError, match="--follow: a recording that is still written has neither --rate"):
         mapweave.live_robot("r1", path, follow=True, rate=2.0, **options)
+
+
+def test_the_time_that_a_scan_takes_is_told_of_a_recording_that_grows(tmp_path, recording):
+    path = tmp_path / "swept.mcap"
+    write_mcap(path, replace(recording[0], sweep=0.08))
+    told = feed_of(path, []).close()
+    assert told[0].sweep == pytest.approx(open_recording(path, "r1", None).sweep) == pytest.approx(0.08)

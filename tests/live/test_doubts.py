@@ -1,14 +1,18 @@
 """Two messages of one number, two histories of one name: neither is used until the robot's own history decides."""
 
+from dataclasses import replace
+
 import msgspec
 import numpy as np
 import pytest
 
 from mapweave.live.door import decode
 from mapweave.live.inbox import AGAIN, AHEAD, IN_VAIN, PATIENCE, STATED, Inbox
+from mapweave.live.laser_stream import messages_of_laser
 from mapweave.live.map_process import MOST_A_SECOND, MOST_SPEAKERS, OTHERS, Intake
 from mapweave.live.messages import Closed, Header, RobotState, Rows, Status, encode
 from mapweave.live.store import Store
+from mapweave.sim.laser_worlds import CorridorConfig, simulate_corridor
 
 from .teams import messages, payloads, team
 
@@ -62,6 +66,21 @@ def test_of_two_messages_of_one_number_neither_is_used_until_the_robot_decides(s
     assert ledger.refused["not its own"] == 1
     hear(inbox, TOLD)
     assert ledger.doubled == len(TOLD)
+
+
+def test_a_header_that_comes_again_with_another_sweep_is_used_by_nobody_before_the_robot_decides(store):
+    log = replace(simulate_corridor(CorridorConfig(distance=2.0), seed=2).log, sweep=0.1)
+    told = [message for _, message in messages_of_laser(log, "r1", "a", 0.5)]
+    again = [msgspec.structs.replace(told[0], sweep=0.2), *told[1:]]
+    inbox = Inbox(store)
+    hear(inbox, map(encode, [*told[:4], again[0], *told[4:]]))
+    assert inbox.log("r1") is None
+    assert any("message 0 was told in two ways" in line for line in inbox.news)
+    while asks := asked(inbox, 1.0):
+        for _, first, last in asks:
+            inbox.decide("r1", [encode(m) for m in again[first : last + 1]], 1.0)
+    assert inbox.log("r1").sweep == 0.2
+    assert inbox.ledgers["r1"].anew == 1  # what was followed with the other is void
 
 
 def partial(n):

@@ -187,6 +187,34 @@ def test_the_time_that_a_scan_takes_reaches_the_log():
     assert whole_log(header, [part for one in rest if (part := record.add(one)) is not None]).sweep == 0.2
 
 
+def heard(made, stated, begin=10.0, scanner=""):
+    """How many of as many scans are taken, of which each is said to take so long [s]."""
+    before = sum(made.refused.values())
+    for k, sweep in enumerate(stated):
+        every = sweep / (len(RANGES) - 1)
+        message = ros_peer.scan(begin + k, "laser", RANGES, -0.5, 0.2, 10.0, (), every)
+        made.scan(cdr.decode(message, cdr.SCAN), scanner)
+    return len(stated) - (sum(made.refused.values()) - before)
+
+
+def test_scans_of_another_scanner_are_refused_and_told_and_not_read_with_the_time_of_the_first():
+    made = Assembly()
+    assert heard(made, [0.1, 0.11, 0.09]) == 3
+    assert heard(made, [0.2, 0.0, 0.1], begin=20.0) == 1
+    assert made.refused == {"scanner": 2}
+    assert made.first_refusals["scanner"].startswith("scanner: a scan of 0.2 s after such of 0.1 s: another scanner")
+    assert heard(made, [0.2, 0.2], begin=30.0, scanner="rear") == 2  # which is a scanner of its own
+
+
+@pytest.mark.parametrize("told", [0.1, 0.0])
+def test_a_robot_begun_again_with_another_scanner_does_not_go_on_with_its_history(told):
+    made, same = Assembly(), Assembly()
+    for one in made, same:
+        one.resume(10.0, 10.0, light=False, sweep=told)
+    assert heard(made, [0.2, 0.2], begin=11.0) == 0
+    assert heard(same, [told, told], begin=11.0) == 2
+
+
 def test_scans_of_two_scanners_come_in_the_order_of_their_stamps():
     made = fed(Assembly(), mounted(), (cdr.TF, ros_peer.transforms((1.0, "base", "back", (-0.2, 0.0, math.pi)))))
     for t in (9.0, 10.0, 11.0, 12.0):

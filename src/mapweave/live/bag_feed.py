@@ -76,6 +76,7 @@ class BagFeed(ScanFeed):
         for found in log.findings:
             if found.code != "log-short":
                 self._once(found.text)
+        self._sweep = log.sweep
         until = math.inf if whole or log.odometry is None else float(log.odometry.t[-1])
         out: list[Numbered] = []
         for t, scan in zip(log.scan_t.tolist(), log.scans, strict=True):

@@ -101,6 +101,7 @@ class ScanFeed:
         self._waiting: Queue[Stamped] = Queue(WAITING)
         self._packets: Packets | None = None
         self._driven = float("-inf")  # [s] stamp of the last odometry
+        self._sweep = 0.0  # [s] that a scan takes
         self._known = Event()  # what the history holds
 
     def put(self, t: float, scan: Scan) -> None:
@@ -153,4 +154,5 @@ class ScanFeed:
             odometry=scan.odometry is not None,
             odometry_from="none" if scan.odometry is None else "poses",
             log_hash=self._run,
+            sweep=self._sweep,
         )

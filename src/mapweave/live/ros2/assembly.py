@@ -23,6 +23,7 @@ GAP = 1.0  # [s] without odometry: scans within are not placed by what is before
 LEAP = 60.0  # [s] that a stamp may be ahead of the one before; more is believed when three in a row say so
 SURE = 3
 MOST_WAITING = 2000  # scans
+OTHER_SWEEP = 0.25  # share by which scanners of one kind differ at most in the time of a scan
 UNDECIDED = 2000  # transforms kept while it is open whether odometry comes from tf
 POSES, BY_TF, NO_ODOMETRY = "poses", "tf", "none"
 
@@ -79,10 +80,18 @@ class Assembly:
         self._rows: list[Row] = []
         self._fresh: list[Row] = []
         self._light: bool | None = None
+        self._sweeps: dict[str, float] = {}  # of each scanner, once it is stated
+        self._told_sweep: float | None = None
 
-    def resume(self, scan: float | None, odometry: float | None, *, light: bool | None) -> None:
-        """Stamps [s] that were told already: only later ones are used; light: whether scans had intensities."""
+    def resume(
+        self, scan: float | None, odometry: float | None, *, light: bool | None, sweep: float | None = None
+    ) -> None:
+        """Stamps [s] that were told already: only later ones are used; light: whether scans had intensities.
+
+        sweep: [s] that each of them took, of a robot with one scanner.
+        """
         self._told_until, self._wheels_clock.last, self._light = scan, odometry, light
+        self._told_sweep = None if scan is None else sweep
 
     def refuse(self, error: RefusedError) -> None:
         """Counted; the first of each reason is kept in words."""
@@ -151,9 +160,9 @@ class Assembly:
         """One LaserScan of one of the robot's scanners."""
         try:
             raw = self._raw(message)
+            self._expect_scanner(raw, scanner)
             self._take_stamp(raw.t, scanner)
-            if self.sweep == 0.0 and 0.0 < raw.sweep < LONGEST_SWEEP:
-                self.sweep = raw.sweep
+            self.sweep = self.sweep or self._sweeps.get(scanner, 0.0)
         except RefusedError as error:
             self.refuse(error)
             return
@@ -164,6 +173,17 @@ class Assembly:
         if len(self._waiting) > MOST_WAITING:
             self._waiting.popleft()
             self.refuse(RefusedError("late", "scans that nothing placed"))
+
+    def _expect_scanner(self, raw: RawScan, scanner: str) -> None:
+        """Raises RefusedError for a scan that takes another time than those before: all are read with one."""
+        stated = raw.sweep if 0.0 < raw.sweep < LONGEST_SWEEP else 0.0
+        known = self._sweeps.get(scanner, self._told_sweep)
+        if known is not None and abs(stated - known) > OTHER_SWEEP * max(stated, known):
+            raise RefusedError(
+                "scanner", f"a scan of {stated:.3g} s after such of {known:.3g} s: another scanner is another history"
+            )
+        if stated > 0.0:
+            self._sweeps.setdefault(scanner, stated)
 
     def _take_stamp(self, t: float, scanner: str) -> None:
         """Raises RefusedError for one that is not after the scanner's last, and for one before what was told."""

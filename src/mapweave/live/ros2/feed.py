@@ -224,7 +224,7 @@ class RosFeed:
         self._packets, self._new = Packets(header, self.asked.period, last.seq), False
         self.assembly.wheels = header.odometry_from
         scan, odometry, light = told_until(kept)
-        self.assembly.resume(scan, odometry, light=light)
+        self.assembly.resume(scan, odometry, light=light, sweep=None if self.asked.all_scanners else header.sweep)
 
     def take(self, timeout: float) -> list[Numbered]:
         """Messages that are whole now; waits for something to come for `timeout` [s] at most."""
