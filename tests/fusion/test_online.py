@@ -177,3 +177,38 @@ def test_the_sum_does_not_grow_with_robots():
     assert fuser.tied_in == 30
     assert {term.S.shape for term in fuser.sums[0].terms.values()} == {(12, 12)}
     assert_near(fuser, maps, 0.02)
+
+
+def test_what_one_robot_claims_to_have_seen_keeps_nobody_from_judging(five):
+    def seen(m, n):
+        return replace(m, log_hash=m.robot, sightings=dict.fromkeys(m.submap.ids, n))
+
+    claimed = seen(five[4], 2**53)
+    fuser = OnlineFuser().update(*(seen(m, 10) for m in five[:4]), claimed)
+    assert not fuser.grown(*(seen(m, 11) for m in five[:4])).due
+    assert fuser.grown(*(seen(m, 15) for m in five[:4])).due
+    assert not OnlineFuser().update(*(seen(m, 10) for m in five)).grown(seen(five[4], 20)).due
+
+
+def test_a_map_that_is_none_is_judged_once_and_the_others_go_on(five):
+    hashed = [replace(m, log_hash=m.robot) for m in five]
+    none = replace(with_landmarks(five[4], cov=np.zeros((18, 18))), log_hash="robot5")
+    fuser = OnlineFuser().update(*hashed).grown(none)
+    assert fuser.due
+    fuser = fuser.converged().grown(none)
+    assert not fuser.due
+    assert fuser.largest.robots == tuple(m.robot for m in five[:4])
+    assert fuser.fusion.decisions[4].reason == "its covariance is not positive definite"
+
+
+def test_a_map_that_comes_to_contradict_the_others_is_out_of_theirs_before_all_are_judged(five):
+    hashed = [replace(m, log_hash=m.robot) for m in five]
+    fuser = OnlineFuser().update(*hashed)
+    mean = np.random.default_rng(0).uniform(-9, 9, (9, 2))
+    wrong = replace(with_landmarks(five[0], mean=mean), log_hash="robot1")  # it was the map's frame
+    grown = fuser.grown(wrong)
+    assert grown.largest.robots == ("robot2", "robot3", "robot4", "robot5")
+    assert_near(grown, five[1:])
+    assert not any(f.robot != "robot1" for f in grown.fusion.findings)
+    assert grown.due
+    assert_near(grown.grown(*hashed).converged(), five)

@@ -6,11 +6,12 @@ from concurrent.futures import Future
 from contextlib import contextmanager
 from types import SimpleNamespace
 
+import msgspec
 import numpy as np
 import pytest
 
 from mapweave.core.errors import EstimateError
-from mapweave.live import beside, laser_weaver, map_process
+from mapweave.live import beside, laser_weaver, map_process, shared_map
 from mapweave.live.driven import DrivenSession
 from mapweave.live.inbox import Inbox
 from mapweave.live.isolation import without_culprits
@@ -199,6 +200,20 @@ def test_a_snapshot_that_fusion_breaks_on_is_named_and_the_others_are_fused(tmp_
         shared.take_fused(shared.fusing(inbox.ledgers.values()).run())
         assert list(shared.placed) == ["r1"]
         assert "r2: refused, its snapshot: LinAlgError: Singular matrix" in shared.decisions
+
+
+def test_more_landmarks_than_are_fused_while_robots_drive_cost_those_who_have_most_to_themselves(tmp_path, monkeypatch):
+    monkeypatch.setattr(shared_map, "MOST", 4)
+    with Store(tmp_path / "s.sqlite", "a map") as store:
+        some = [(1.0, 2.0), (4.0, 0.0), (0.0, 5.0)]
+        many = msgspec.structs.replace(
+            snapshot("r1", [*some, (9.0, 9.0), (7.0, 8.0)]), ids=["6", "7", "8", "invented", "too"]
+        )
+        inbox = heard_snapshots(store, many, snapshot("r2", some))
+        shared = SharedMap()
+        shared.take_fused(shared.fusing(inbox.ledgers.values()).run())
+        assert list(shared.placed) == ["r2"]
+        assert "r1: refused, its snapshot: over 4 landmarks are fused at the end alone" in shared.decisions
 
 
 THREADS = {  # of a map process: what each does again and again

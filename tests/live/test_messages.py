@@ -103,6 +103,19 @@ def test_wheels_that_come_late_are_used_from_the_first_of_them_on():
     np.testing.assert_allclose(late.submap.mean, whole.mean, atol=1e-9)
 
 
+def test_names_are_known_once_and_a_message_costs_none_of_those_before_it():
+    record = LandmarkRecord.begin(messages(team()[0])[0])
+    names, seen = record.names, pack([1e6], [1.0], [0.0])
+    before = len(names)
+    record.add(Rows(robot="r1", run="a", seq=1, names=["new"], seen=seen, what=[before]))
+    assert record.names is names  # and no copy
+    assert names[before:] == ["new"]
+    for wrong in ({"names": ["new"]}, {"names": ["other", "other"]}, {"seen": seen, "what": [before + 1]}):
+        with pytest.raises(RefusedError):
+            record.add(Rows(robot="r1", run="a", seq=2, **wrong))
+    assert names[before:] == ["new"]
+
+
 def sound():
     return {
         "rows": Rows(robot="r1", run="a", seq=3, drive=pack([0.0, 1], [1, 1], [0, 0]), seen=b""),

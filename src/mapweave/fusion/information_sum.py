@@ -5,7 +5,7 @@ system to be solved grows with landmarks and not with robots, a robot or a landm
 takes the place of its older one: nothing counts twice.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -128,6 +128,18 @@ class InformationSum:
             own={**self.own, **moved},
             places={**there, **self.places},
             widened={**self.widened, **other.widened},
+            terms={},
+        )
+
+    def select(self, robots: Collection[str]) -> "InformationSum":
+        """Of the maps of these robots alone, which lie as they do here; not solved."""
+        maps = {r: m for r, m in self.maps.items() if r in robots}
+        return replace(
+            self,
+            maps=maps,
+            factors={r: self.factors[r] for r in maps},
+            own={r: self.own[r] for r in maps},
+            widened={r: self.widened[r] for r in maps if r in self.widened},
             terms={},
         )
 

@@ -214,6 +214,30 @@ def find_outliers(cluster: Consensus) -> list[Outlier]:
     return outliers
 
 
+def find_contradicting(cluster: Consensus) -> list[int]:
+    """Maps of which half the landmarks that others hold lie grossly elsewhere, or that share too few; worst first.
+
+    On return they are no part of `cluster` any more.
+    """
+    out: list[int] = []
+    while len(cluster.placed) > 1:
+        _, residual = _left_out(cluster)
+        names = cluster.entries.name
+        known = cluster.counts & (cluster.count[names] > 1)
+        off = {}
+        for k in cluster.placed:
+            at = cluster.entries.of_map(k)
+            ratio = (residual[at] / cluster.gates(k, FUSE_REFUSE))[known[at]]
+            off[k] = float(np.median(ratio)) if len(ratio) >= ENOUGH else np.inf
+        worst = max(off, key=lambda k: (off[k], k))
+        if off[worst] <= 1.0:
+            break
+        cluster.drop(cluster.entries.of_map(worst))
+        del cluster.placed[worst]
+        out.append(worst)
+    return out
+
+
 def find_exchanged(cluster: Consensus, outliers: Sequence[Outlier]) -> list[Outlier]:
     """`outliers` with `belongs_to` filled in where a map's doubted places fit its doubted labels in another order."""
     out = list(outliers)

@@ -6,6 +6,7 @@ another robot are put into the sum of what they are tied to (`InformationSum`): 
 doubted, by the very tests of `fuse`, but of what has changed alone.
 """
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -18,7 +19,16 @@ from ..landmarks.landmark_map import LandmarkMap, LocalMap
 from .cluster import ENOUGH
 from .config import JUDGE_AGAIN, FuseConfig
 from .information_sum import InformationSum
-from .initial_frames import Consensus, Entries, Outlier, PlaceTest, absorbed, find_outliers, place_in
+from .initial_frames import (
+    Consensus,
+    Entries,
+    Outlier,
+    PlaceTest,
+    absorbed,
+    find_contradicting,
+    find_outliers,
+    place_in,
+)
 from .join import fuse, outlier_findings, unsound
 from .result import APART, Component, Decision, Fusion
 
@@ -33,7 +43,7 @@ Pair = tuple[str, str]
 class OnlineFuser:
     """The latest map of every robot heard of and what they fuse to.
 
-    sums: a component each, where maps can be exchanged in sums; sightings: those behind the maps when all was judged;
+    sums: a component each, where maps can be exchanged in sums; sightings: of each robot when all was judged;
     judged: how often it was; doubts: robot and landmark that were doubted then; due: whether all is to be judged anew;
     tried: by the first robots of two parts, what they had to go by when they could not be tied (`_Parts.grounds`).
     """
@@ -43,7 +53,7 @@ class OnlineFuser:
     latest: Mapping[str, LocalMap] = field(default_factory=dict)
     fusion: Fusion = NOTHING
     sums: tuple[InformationSum, ...] = ()
-    sightings: int = 0
+    sightings: Mapping[str, int] = field(default_factory=dict)
     judged: int = 0
     doubts: frozenset[Pair] = frozenset()
     due: bool = False
@@ -62,11 +72,13 @@ class OnlineFuser:
             return replace(now, due=True)
         sums, left = self._put(fresher)
         parts = _Parts.of(sums, latest, self.cfg)
+        if apart := parts.without_contradicting():
+            parts = _Parts.of(apart, latest, self.cfg)
         tried = parts.tie(self.recordings, self.tried, self.cfg)
         robots, outliers = parts.robots, parts.doubt()
         sums = sorted((part.converged() for part in parts.sums), key=_largest_first)
         doubts = {(robots[d.owner], d.id) for d in outliers}
-        grown = _sightings(latest) >= JUDGE_AGAIN * self.sightings
+        grown = _grown(self.sightings, latest)
         findings = [f for f in self.fusion.findings if f.code != ELSEWHERE] + outlier_findings(robots, outliers)
         components = tuple(part.joined() for part in sums)
         decisions = _decisions(sums, components, self.fusion.decisions)
@@ -81,7 +93,7 @@ class OnlineFuser:
         judged = replace(
             self,
             fusion=fusion,
-            sightings=_sightings(self.latest),
+            sightings={r: _sightings(m) for r, m in self.latest.items()},
             judged=self.judged + 1,
             doubts=doubts,
             due=False,
@@ -170,7 +182,9 @@ class OnlineFuser:
         for m in fresher:
             old = self.latest.get(m.robot)
             ids = self._names(m)
-            if unsound(m) is not None or len(set(ids)) < len(ids):
+            if m.robot in refused:
+                left |= old is not None and m.log_hash != old.log_hash
+            elif unsound(m) is not None or len(set(ids)) < len(ids):
                 left = True
             elif m.robot in of:
                 part = self.sums[of[m.robot]]
@@ -178,8 +192,6 @@ class OnlineFuser:
                     left = True
                 else:
                     newer.setdefault(of[m.robot], {})[m.robot] = self._named(m)
-            elif m.robot in refused:
-                left |= old is not None and m.log_hash != old.log_hash
             elif m.log_hash in logs and old is None:
                 left = True
             else:
@@ -252,7 +264,7 @@ class _Parts:
                 k += 1
             laid.append(one)
         held = np.array([one.count > 0 for one in laid], dtype=np.float32).reshape(len(sums), len(entries.ids))
-        behind = np.array([_sightings({r: latest[r] for r in part.robots}) for part in sums], dtype=float)
+        behind = np.array([sum(_sightings(latest[r]) for r in part.robots) for part in sums], dtype=float)
         return cls(sums, robots, maps, laid, held, held @ held.T, behind)
 
     def grounds(self) -> Float[np.ndarray, "k k"]:
@@ -312,6 +324,17 @@ class _Parts:
         """As if all had been tried on each other."""
         return self._by_name(self.grounds())
 
+    def without_contradicting(self) -> list[InformationSum]:
+        """The sums where maps that contradict the others of theirs are by themselves; none where no map does."""
+        out: list[InformationSum] = []
+        found = False
+        for part, one in zip(self.sums, self.laid, strict=True):
+            wrong = {self.robots[k] for k in find_contradicting(one)} if len(part.maps) > 1 else set[str]()
+            found |= bool(wrong)
+            out += [InformationSum.alone(r, part.maps[r], part.scale_sigma, part.floor) for r in sorted(wrong)]
+            out += _connected(part.select(part.maps.keys() - wrong)) if wrong else [part]
+        return out if found else []
+
     def doubt(self) -> list[Outlier]:
         """The landmarks that lie elsewhere in one map than in the others of its sum, which trusts them less now."""
         outliers = [d for one in self.laid if len(one.placed) > 1 for d in find_outliers(one)]
@@ -328,6 +351,22 @@ class _Parts:
         first = [part.robots[0] for part in self.sums]
         pairs = np.argwhere(np.triu(grounds, 1) > 0).tolist()
         return {(first[a], first[b]): float(grounds[a, b]) for a, b in pairs}
+
+
+def _connected(part: InformationSum) -> list[InformationSum]:
+    """The maps of a sum in as many as hang together, one with the next, by landmarks that both have."""
+    waiting, out = dict(part.maps), list[InformationSum]()
+    while waiting:
+        group, fresh = set[str](), [next(iter(waiting))]
+        while fresh:
+            group.add(robot := fresh.pop())
+            ids = set(waiting.pop(robot, part.maps[robot]).ids)
+            fresh += [r for r, m in waiting.items() if r not in fresh and len(ids.intersection(m.ids)) >= ENOUGH]
+        if len(group) > 1:
+            out.append(part.select(group))
+        else:
+            out += [InformationSum.alone(r, part.maps[r], part.scale_sigma, part.floor) for r in group]
+    return out
 
 
 def _decisions(
@@ -353,5 +392,14 @@ def _decisions(
     return tuple(out[robot] for robot in sorted(out, key=in_order))
 
 
-def _sightings(maps: Mapping[str, LocalMap]) -> int:
-    return sum(sum(m.sightings.values()) for m in maps.values())
+def _sightings(m: LocalMap) -> int:
+    return sum(m.sightings.values())
+
+
+def _grown(before: Mapping[str, int], latest: Mapping[str, LocalMap]) -> bool:
+    """Whether maps rest on so many more sightings than `before` that all are judged anew.
+
+    On the average over their logarithms: what one robot claims counts for one.
+    """
+    more = [math.log(max(_sightings(m), 1) / max(before.get(r, 0), 1)) for r, m in latest.items()]
+    return not before or sum(more) >= len(more) * math.log(JUDGE_AGAIN)

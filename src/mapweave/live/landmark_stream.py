@@ -102,6 +102,11 @@ class LandmarkRecord:
     _seen: float = -np.inf
     _directed: float = -np.inf
     _first: float = np.nan
+    _named: set[str] = field(init=False)
+    _bearing_named: set[str] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._named, self._bearing_named = set(self.names), set(self.bearing_names)
 
     @classmethod
     def begin(cls, header: Header, *, keep: bool = True) -> "LandmarkRecord":
@@ -127,9 +132,15 @@ class LandmarkRecord:
         first = self._first
         for table in (drive, seen, bearings):
             first = expect_span(first, table[0])
-        names, what = _named(self.names, message.names, message.what)
-        bearing_names, bearing_what = _named(self.bearing_names, message.bearing_names, message.bearing_what)
-        self.names, self.bearing_names, self._first = names, bearing_names, first
+        what = _indexed(self._named, message.names, message.what)
+        bearing_what = _indexed(self._bearing_named, message.bearing_names, message.bearing_what)
+        for known, names, fresh in (
+            (self._named, self.names, message.names),
+            (self._bearing_named, self.bearing_names, message.bearing_names),
+        ):
+            known.update(fresh)
+            names.extend(fresh)
+        self._first = first
         self._driven = float(drive[0, -1]) if drive.shape[1] else self._driven
         self._seen = float(seen[0, -1]) if seen.shape[1] else self._seen
         self._directed = float(bearings[0, -1]) if bearings.shape[1] else self._directed
@@ -190,13 +201,16 @@ def rows_told(messages: Iterable[Message]) -> LandmarkLog | None:
     return None if record is None else record.log
 
 
-def _named(known: list[str], fresh: list[str], what: list[int]) -> tuple[list[str], Int[np.ndarray, " n"]]:
-    """All names known with a message, and the indices in it; raises RefusedError when they can't be."""
-    names, index = [*known, *fresh], np.array(what, dtype=np.int64)
-    if len(names) > MOST_NAMES:
-        raise RefusedError("oversized", f"{len(names)} names, at most {MOST_NAMES}")
-    if len(set(names)) < len(names):
+def _indexed(known: set[str], fresh: list[str], what: list[int]) -> Int[np.ndarray, " n"]:
+    """The indices in a message whose names come after those known; raises RefusedError when they can't be.
+
+    It costs what the message holds, however many are known.
+    """
+    n, index = len(known) + len(fresh), np.array(what, dtype=np.int64)
+    if n > MOST_NAMES:
+        raise RefusedError("oversized", f"{n} names, at most {MOST_NAMES}")
+    if not known.isdisjoint(fresh) or len(set(fresh)) < len(fresh):
         raise RefusedError("malformed", "a name that is known already")
-    if (index >= len(names)).any():
-        raise RefusedError("malformed", f"an index of {int(index.max())} among {len(names)} names")
-    return names, index
+    if (index >= n).any():
+        raise RefusedError("malformed", f"an index of {int(index.max())} among {n} names")
+    return index

@@ -12,7 +12,7 @@ from ..core import se2
 from ..core.errors import EstimateError
 from ..core.records import Track
 from ..fusion.config import FuseConfig
-from ..fusion.online import OnlineFuser
+from ..fusion.online import MOST, OnlineFuser
 from ..fusion.result import Component
 from ..landmarks.landmark_map import LocalMap, Submap
 from ..team.relative_frame import UNMOVED
@@ -125,6 +125,9 @@ class SharedMap:
                 maps[ledger.robot] = local_map_of(ledger, snapshot)
             except Exception as error:  # noqa: BLE001  (no number in it may cost others their map)
                 refused.append(f"{ledger.robot}: refused, its snapshot: {in_words(error)}")
+        for name in beyond(maps, MOST):
+            del maps[name]
+            refused.append(f"{name}: refused, its snapshot: over {MOST} landmarks are fused at the end alone")
         names = {m.robot: name for name, m in maps.items()}
         fuser = replace(self.fuser, cfg=self.cfg)
         return Fusing(fuser, tuple(maps.values()), names, used, refused, self._judged)
@@ -218,6 +221,17 @@ class SharedMap:
             self.placed[name] = Placed(max((p.component for p in self.placed.values()), default=0) + 1, *ALONE)
             self.decisions = [*self.decisions, f"{name}: in its own frame until its scans are worked in"]
         return bool(new)
+
+
+def beyond(maps: Mapping[str, LocalMap], most: int) -> list[str]:
+    """Whose maps are to be left out so that at most so many landmarks remain: those with most that nobody else has."""
+    held = Counter(name for m in maps.values() for name in m.submap.ids)
+    out: list[str] = []
+    while len(held) > most:
+        alone = {r: sum(held[name] == 1 for name in m.submap.ids) for r, m in maps.items() if r not in out}
+        out.append(max(alone, key=lambda robot: (alone[robot], robot)))
+        held -= Counter(maps[out[-1]].submap.ids)
+    return out
 
 
 def local_map_of(ledger: Ledger, snapshot: Snapshot) -> LocalMap:
