@@ -14,6 +14,8 @@ from mapweave.core.landmark_log import SightingTable
 from mapweave.core.records import Odometry
 from mapweave.io.directory import result_directory
 from mapweave.landmarks import mapping
+from mapweave.landmarks.config import EkfSlamConfig
+from mapweave.landmarks.ekf_replay import replay
 from mapweave.landmarks.mapping import local_map, without_impossible
 
 from .robot_worlds import drive
@@ -100,6 +102,36 @@ def test_wheels_of_which_every_row_is_impossible_are_none(log):
     m, plain = local_map(with_number(log, "v", 1e9, slice(None))), local_map(without_odometry(log))
     assert m.odometry == plain.odometry == "none"
     np.testing.assert_array_equal(m.submap.mean, plain.submap.mean)
+
+
+def with_names(log, n, each):
+    """The log with `n` names more, each sighted `each` times."""
+    seen = log.sightings
+    t = np.repeat(np.linspace(seen.t[0], seen.t[-1], n), each)
+    what = len(seen.ids) + np.repeat(np.arange(n), each)
+    order = np.argsort(np.concatenate([seen.t, t]), kind="stable")
+    columns = [
+        np.concatenate([a, b])[order]
+        for a, b in (
+            (seen.t, t),
+            (seen.what, what),
+            (seen.range, np.full(len(t), 2.0)),
+            (seen.bearing, np.full(len(t), 0.1)),
+        )
+    ]
+    return replace(log, sightings=SightingTable(*columns, (*seen.ids, *(f"once {k}" for k in range(n)))))
+
+
+def test_names_that_are_sighted_too_rarely_for_a_landmark_take_no_place_in_the_filter(log):
+    plain, many = replay(log, EkfSlamConfig()), replay(with_names(log, 3000, 2), EkfSlamConfig())
+    assert many.x.shape == plain.x.shape
+    assert many.submap.ids == plain.submap.ids
+    np.testing.assert_allclose(many.submap.mean, plain.submap.mean, atol=1e-3)  # driven in other steps
+
+
+def test_more_landmarks_than_a_filter_holds_are_one_error_and_not_all_memory(log):
+    with pytest.raises(EstimateError, match=r"landmarks sighted 3 times and oftener, at most 5000: .* 0\.8 GB"):
+        local_map(with_names(log, 5001, 3))
 
 
 def test_sane_rows_stay_as_they_are(log):

@@ -83,7 +83,7 @@ class OnlineFuser:
         components = tuple(part.joined() for part in sums)
         decisions = _decisions(sums, components, self.fusion.decisions)
         fusion = Fusion(components, decisions, tuple(findings), self.fusion.labels)
-        due = left or grown or not doubts <= self.doubts
+        due = left or grown or bool(apart) or not doubts <= self.doubts
         return replace(now, fusion=fusion, sums=tuple(sums), tried=tried, due=due)
 
     def converged(self) -> "OnlineFuser":

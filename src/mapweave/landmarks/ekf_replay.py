@@ -1,7 +1,7 @@
 """A whole log through EKF-SLAM, and past poses corrected by the finished map."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -18,6 +18,8 @@ from .config import EkfSlamConfig, track_noise
 from .landmark_map import Submap
 
 MOST_NUMBERS = 30_000_000  # sightings times state: beyond, smoothing would take gigabytes and poses stay filtered
+
+MOST_LANDMARKS = 5_000  # of one robot, whose covariance is kept dense, a few times over
 
 LARGEST = 1e100  # [m], [m^2]: beyond, products of two numbers of the estimate are no longer finite
 
@@ -61,7 +63,7 @@ def replay(log: LandmarkLog, cfg: EkfSlamConfig, seed: int = 0, times: Sequence[
     """
     failed = EstimateError(f"{log.source}: {log.robot}: EKF-SLAM left finite numbers")
     try:
-        steps = list(run(ekf_slam, cfg, log.events(times), seed))
+        steps = list(run(ekf_slam, cfg, _that_may_start(log, cfg).events(times), seed))
     except ZeroDivisionError:  # an innovation's determinant ran over
         raise failed from None
     state = steps[-1].state if steps else ekf_slam.initial(log.robot, cfg)
@@ -85,6 +87,23 @@ def replay(log: LandmarkLog, cfg: EkfSlamConfig, seed: int = 0, times: Sequence[
     return ReplayedLog(
         log.sightings, x, P, state.submap, track, nis, weight, taken=_taken(steps, log, times), filtered=filtered
     )
+
+
+def _that_may_start(log: LandmarkLog, cfg: EkfSlamConfig) -> LandmarkLog:
+    """The log with names taken from what was sighted too rarely for a landmark: it takes no place in the filter.
+
+    Raises EstimateError when more is left than a filter holds.
+    """
+    seen = log.sightings
+    often = np.bincount(seen.what, minlength=len(seen.ids)) >= cfg.agree
+    names = tuple(name if enough else "" for name, enough in zip(seen.ids, often, strict=True))
+    n = sum(map(ekf_slam.is_landmark, names))
+    if n > MOST_LANDMARKS:
+        raise EstimateError(
+            f"{log.source}: {log.robot}: {n} landmarks sighted {cfg.agree} times and oftener, at most "
+            f"{MOST_LANDMARKS}: their covariance would take {8e-9 * (2 * n) ** 2:.1f} GB"
+        )
+    return replace(log, sightings=replace(seen, ids=names))
 
 
 def _taken(steps: Sequence[Step], log: LandmarkLog, times: Sequence[float]) -> tuple[FilterSnapshot, ...]:

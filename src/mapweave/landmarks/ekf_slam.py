@@ -194,15 +194,16 @@ def with_slots(state: EkfSlamState, names: tuple[str, ...]) -> EkfSlamState:
 
 
 def is_landmark(name: str) -> bool:
-    """Sightings of robots are kept for fusion, not used here."""
-    return not name.startswith("robot")
+    """Sightings of robots are kept for fusion, not used here; nor are those of what has no name."""
+    return bool(name) and not name.startswith("robot")
 
 
 def submap(robot: str, frame: str, x: np.ndarray, P: np.ndarray, ids: tuple[str, ...], started: np.ndarray) -> Submap:
     """The map in `x`, `P` (drive applied), its distances those of the range sensor: multiplied by the range scale."""
     slots = np.flatnonzero(started)
-    points = (HEAD + 2 * slots[:, None] + np.arange(2)).ravel()
-    rows = np.concatenate([np.arange(POSE), points])
+    kept = np.concatenate([np.arange(HEAD), (HEAD + 2 * slots[:, None] + np.arange(2)).ravel()])
+    x, P = x[kept], P[np.ix_(kept, kept)]  # to the bit the same, whatever waits beside
+    rows = np.concatenate([np.arange(POSE), np.arange(HEAD, len(x))])
     s = float(x[RANGE_SCALE])
     by = np.ones(len(rows))
     by[rows != 2] = s

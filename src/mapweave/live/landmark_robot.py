@@ -8,7 +8,7 @@ from ..core.errors import EstimateError
 from ..core.run import Runner
 from ..landmarks import ekf_slam
 from ..landmarks.config import EkfSlamConfig
-from ..landmarks.landmark_map import Submap
+from ..landmarks.landmark_map import LocalMap, Submap
 from ..landmarks.mapping import local_map, without_impossible
 from .columns import pack, pack_triangle
 from .door import decode
@@ -103,16 +103,30 @@ def mapped_again(store: Store, robot: str, end: int, cfg: EkfSlamConfig, ended: 
 
     None when they make no map, or when it is `ended` meanwhile.
     """
-    driving: LandmarkRobot | None = None
+    record: LandmarkRecord | None = None
     try:
         for _, payload in store.get(robot, 0, end - 1):
             message = decode(payload)
             if ended():
                 return None
             if isinstance(message, Header):
-                driving = LandmarkRobot(message, cfg)
-            elif driving is not None and isinstance(message, Numbered):
-                driving.add(message)
-        return None if driving is None else driving.snapshot()
+                record = LandmarkRecord.begin(message)
+            elif record is not None and isinstance(message, Numbered):
+                record.add(message)
+        return None if record is None else _told(record, end - 1, local_map(record.log, cfg))
     except Exception:  # noqa: BLE001  (whatever it told, it makes no map)
         return None
+
+
+def _told(record: LandmarkRecord, last: int, m: LocalMap) -> Snapshot:
+    return Snapshot(
+        robot=record.header.robot,
+        run=record.header.run,
+        last=last,
+        t=record.log.span[1],
+        pose=tuple(m.submap.pose.tolist()),
+        ids=list(m.submap.ids),
+        mean=pack(*m.submap.mean.T),
+        cov=pack_triangle(m.submap.cov),
+        counts=[m.sightings.get(name, 0) for name in m.submap.ids],
+    )
