@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
+from mapweave.core.errors import EstimateError
+from mapweave.fusion import information_sum
 from mapweave.fusion.cluster import clusters
 from mapweave.fusion.full_covariance import join
 from mapweave.fusion.information_sum import InformationSum
@@ -71,3 +73,10 @@ def test_between_two_judgements_only_the_sum_changes_and_it_stays_near_what_fusi
     again = fuser.update(*grown[-1])
     assert again.judged == 1
     np.testing.assert_allclose(again.largest.map.mean, fuse(grown[-1]).components[0].map.mean, atol=2e-3)
+
+
+def test_a_sum_that_comes_to_no_rest_is_an_error_and_no_map(monkeypatch):
+    maps, _, _, _ = team(np.random.default_rng(11), robots=4)
+    monkeypatch.setattr(information_sum, "ROUNDS", 1)
+    with pytest.raises(EstimateError, match="come to no rest"):
+        summed(maps, 0.3)

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..core import se2
+from ..core.errors import EstimateError
 from ..core.gaussian import solve_psd, symmetrise
 from ..core.names import in_order
 from ..landmarks.landmark_map import LandmarkMap
@@ -150,7 +151,10 @@ class InformationSum:
         return replace(self, widened=widened, terms=terms) if changed else self
 
     def converged(self) -> "InformationSum":
-        """Solved, every part taken anew until the estimate stays within `NEAR` of where it was taken."""
+        """Solved, every part taken anew until the estimate stays within `NEAR` of where it was taken.
+
+        Raises EstimateError where it does not after `ROUNDS`, numpy.linalg.LinAlgError where nothing holds the maps.
+        """
         if len(self.maps) < 2:  # a map by itself is what it is
             return self
         ids = tuple(dict.fromkeys(name for m in self.maps.values() for name in m.ids))
@@ -174,6 +178,8 @@ class InformationSum:
             own = {r: terms[r].placed(x[rows[r]]) for r in self.maps}
             if all(np.abs(own[r] - terms[r].at).max() <= NEAR for r in self.maps):
                 break
+        else:
+            raise EstimateError("its map and those of the others come to no rest")
         return replace(
             self,
             own={r: one[:4] for r, one in own.items()},
