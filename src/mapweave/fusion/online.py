@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
+from ..core.errors import EstimateError
 from ..core.names import in_order
 from ..landmarks.landmark_map import LandmarkMap, LocalMap
 from .cluster import ENOUGH
@@ -61,7 +62,10 @@ class OnlineFuser:
 
     def update(self, *fresher: LocalMap) -> "OnlineFuser":
         """The fuser after these maps, each in place of its robot's older one; all judged anew if that is due."""
-        now = self.grown(*fresher)
+        try:
+            now = self.grown(*fresher)
+        except (EstimateError, np.linalg.LinAlgError):  # what no sum holds is judged
+            now = replace(self, latest={**self.latest, **{m.robot: m for m in fresher}}, due=True)
         return now.converged() if now.due else now
 
     def grown(self, *fresher: LocalMap) -> "OnlineFuser":
@@ -99,7 +103,8 @@ class OnlineFuser:
             due=False,
         )
         sums = judged.summed()
-        return replace(judged, sums=sums, tried=_Parts.of(sums, self.latest, self.cfg).tried())
+        whole = len(sums) == len(fusion.components)
+        return replace(judged, sums=sums, tried=_Parts.of(sums, self.latest, self.cfg).tried() if whole else {})
 
     def caught_up(self, now: "OnlineFuser") -> "OnlineFuser":
         """The fuser, judged beside, with robots that have come since where they are `now`; it is to be `grown` next.
@@ -157,16 +162,15 @@ class OnlineFuser:
         if not self.summable:
             return ()
         factors = {d.robot: d.variance_factor or 1.0 for d in self.fusion.decisions}
-        return tuple(
-            InformationSum.of(
-                c,
-                {r: self._named(self.latest[r]) for r in c.robots},
-                {r: factors[r] for r in c.robots},
-                self.cfg.scale_sigma,
-                self.cfg.floor,
-            )
-            for c in self.fusion.components
-        )
+        out: list[InformationSum] = []
+        for c in self.fusion.components:
+            maps = {r: self._named(self.latest[r]) for r in c.robots}
+            mine = {r: factors[r] for r in c.robots}
+            try:
+                out.append(InformationSum.of(c, maps, mine, self.cfg.scale_sigma, self.cfg.floor))
+            except (EstimateError, np.linalg.LinAlgError):  # they are tied anew, one by one
+                out += [self._alone(r, m) for r, m in maps.items()]
+        return tuple(out)
 
     def _alone(self, robot: str, m: LandmarkMap) -> InformationSum:
         return InformationSum.alone(robot, m, self.cfg.scale_sigma, self.cfg.floor)
