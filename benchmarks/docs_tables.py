@@ -57,6 +57,7 @@ TABLES = (
     Table("changes", "docs/laser-teams.md", bench("changes"), "stdout"),
     Table("scanners that turn", "docs/laser.md", bench("sweep"), "stdout"),
     Table("glass", "docs/laser.md", bench("glass"), "stdout"),
+    Table("narrow views", "docs/laser.md", bench("narrow"), "stdout"),
     Table("doctor trials", "docs/doctor.md", bench("doctor"), "stdout"),
     Table(
         "merge trials",

@@ -8,7 +8,7 @@ from mapweave.core import se2
 from mapweave.core.records import Scan, frozen
 from mapweave.laser.beam import BeamConfig, beams
 from mapweave.laser.scan_matching import FrontEndConfig, ScanMatch, better
-from mapweave.laser.scan_odometry import ScanOdometry, view_of
+from mapweave.laser.scan_odometry import ScanOdometry, field_of_view
 from mapweave.laser.wheel_worth import Median
 from mapweave.mapping.segments import Borders
 from mapweave.sim.laser import DriftConfig, DriveConfig, Scanner, drive
@@ -63,15 +63,15 @@ def test_wheels_go_on_over_what_was_unseen_and_nothing_is_cut():
 
 def test_points_lie_in_a_view_by_its_sector_and_reach():
     scan = seen(np.full(10, 3.0), np.zeros(3), wide=1.0)
-    view = view_of(scan)
+    view = field_of_view(scan)
     at = np.array([-0.51, -0.49, 0.0, 0.49, 0.51, np.pi])
     points = 2.0 * np.column_stack([np.cos(at), np.sin(at)])
     assert [view.share_of(p[None]) for p in points] == [0, 1, 1, 1, 0, 0]
     assert view.share_of(np.array([[7.9, 0.0], [8.1, 0.0]])) == 0.5
     behind = Scan(scan.ranges, scan.hit, None, -0.5, 1 / 9, 8.0, np.array([1.0, 0.0, np.pi]))
-    assert view_of(behind).share_of(np.array([[0.0, 0.0], [2.0, 0.0]])) == 0.5
+    assert field_of_view(behind).share_of(np.array([[0.0, 0.0], [2.0, 0.0]])) == 0.5
     backwards = Scan(scan.ranges, scan.hit, None, 0.5, -1 / 9, 8.0)
-    assert [view_of(backwards).share_of(p[None]) for p in points] == [0, 1, 1, 1, 0, 0]
+    assert [field_of_view(backwards).share_of(p[None]) for p in points] == [0, 1, 1, 1, 0, 0]
 
 
 def test_a_match_far_from_where_wheels_put_it_must_win_returns():

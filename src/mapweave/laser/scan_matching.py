@@ -37,9 +37,7 @@ WIDE_REACH = 0.1  # [m] a return this near its line counts there, on the coarse 
 WIDE_TRIES = 3  # rotations, those that most returns match, which are refined
 WIDE_TURN = 0.15  # [rad] standard deviation of the turn there, at least
 WIDE_UNDER = 0.65  # share of returns matched under which rotations are tried
-WIDE_LOSS = (
-    0.04  # share of the returns that a match must win for each of ln(1 + squared sd it lies from the prediction)
-)
+WIDE_LOSS = 0.08  # of the returns a match must win: so much times ln(1 + squared sd it lies from odometry)
 PAST = 0.55  # of a cell, or
 PAST_SD = 0.75  # sd of what odometry may err by: so far past the end of a wall that was seen a return may be of it
 FRONT_END_REACH = 0.1  # [m] a return this near its line counts as matched

@@ -99,7 +99,7 @@ STILL = 1e-6  # [m] and [rad] that wheels which report no motion differ by
 NO_INNOVATION = np.zeros(3)
 
 
-class View(NamedTuple):
+class FieldOfView(NamedTuple):
     """Where a scan's beams go, whether they come back or not.
 
     beams: how many; sensor: (3,) its pose on the robot; first, wide: [rad] of its sector; far: [m] it reaches.
@@ -118,9 +118,9 @@ class View(NamedTuple):
         return float(np.mean((ahead <= self.wide) & (np.hypot(seen[:, 0], seen[:, 1]) <= self.far)))
 
 
-def view_of(scan: Scan) -> View:
+def field_of_view(scan: Scan) -> FieldOfView:
     wide = scan.angle_increment * (len(scan.ranges) - 1)
-    return View(
+    return FieldOfView(
         len(scan.ranges), scan.T_robot_sensor, scan.angle_min + min(wide, 0.0), abs(wide), float(scan.range_max)
     )
 
@@ -181,7 +181,7 @@ class ScanOdometry:
         self.heading: float | None = None
         self._t: float | None = None  # of the latest scan [s]
         self._usual = 0.0  # time from scan to scan [s]
-        self._view = View(0, np.zeros(3), 0.0, 0.0, 0.0)  # of the latest scan
+        self._view = FieldOfView(0, np.zeros(3), 0.0, 0.0, 0.0)  # of the latest scan
         self._looked = (np.zeros(3), self._view)  # from where, and at what, with the latest in the local map
         self._stood: np.ndarray | None = None  # where it was when the wheels moved last, while they report nothing
         self.lines = np.zeros((3, 3))
@@ -255,7 +255,7 @@ class ScanOdometry:
             self._stood = self.pose
         self.odometry = None if scan.odometry is None else np.array(scan.odometry, float)
         self.lines = np.zeros((3, 3))
-        self._view, n = view_of(scan), len(b.q)
+        self._view, n = field_of_view(scan), len(b.q)
         if not len(self.poses):
             if VIEW_TURNED * self._view.wide < self.cfg.keyframe_turn:
                 self.cfg = replace(self.cfg, keyframe_turn=VIEW_TURNED * self._view.wide)
