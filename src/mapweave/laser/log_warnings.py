@@ -31,7 +31,7 @@ from ..core.records import Scan, Track
 from .keyframes import STEP_NOISE_BLUR
 from .laser_map import ScanRecords
 from .robot_graph import RobotGraph
-from .scan_odometry import STILL
+from .scan_odometry import NARROW, STILL
 
 LAG_GAIN = 0.75  # share of the difference without a lag that may remain with it, at most
 
@@ -67,7 +67,6 @@ SLIDE_WAY = 2.0  # [m] of such steps in all: a few in a doorway do not matter
 JUMP_DROP = 0.4  # of the share of returns on known walls from one scan to the next, and
 DROP_PER_M = 1.0  # so much more for a metre between the two and
 DROP_PER_RAD = 0.3  # for a radian of turn: new places come into view
-NARROW = 2.0  # [rad] of a view that is no narrow one
 JUMP_LEAST_RETURNS = 30  # in either scan
 JUMP_LATE = 50  # scans, after which the first of a scanner belongs to another drive
 
@@ -252,7 +251,7 @@ def jumps(records: ScanRecords, scans: Sequence[Scan], robot: str) -> tuple[Find
     enough = np.minimum(records.beams[before], records.beams[after]) >= JUMP_LEAST_RETURNS
     enough &= np.array([records.decision[k] != "unseen" for k in after], dtype=bool)
     wide = np.array([max(abs(scan.angle_increment) * (len(scan.ranges) - 1), 1e-3) for scan in scans])[after]
-    turned = np.maximum(DROP_PER_RAD, 1.0 / wide) * np.abs(step[:, 2])  # a narrow view turns away sooner,
+    turned = np.where(wide < NARROW, 1.0 / wide, DROP_PER_RAD) * np.abs(step[:, 2])  # a narrow view turns away sooner,
     drop = JUMP_DROP * np.maximum(1.0, NARROW / wide)  # and past a door jamb it is all another room
     allowed = drop + DROP_PER_M * way + turned
     gone = np.flatnonzero(enough & (before > 0) & (share[before] - share[after] >= allowed))  # the first is its own map

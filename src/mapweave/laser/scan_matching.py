@@ -67,7 +67,7 @@ class FrontEndConfig:
     keyframes: int = 60  # scans the local map holds
     keyframe_turn: float = 0.4  # [rad] beyond which a keyframe is new, whatever was driven
     alpha: float = 1.0  # [m^2 per q^2] what a difference in the feature counts
-    neff: float = 60.0  # a scan counts as so many independent returns, at most all it has
+    neff: float = 60.0  # a scan counts as so many independent returns
     tangent: float = 0.1  # weight of the error along the line, with a feature
     sd_xy: float = 0.03  # [m] + sd_xy_per_m d: how far odometry may err in a step
     sd_xy_per_m: float = 0.3  # and so much more a metre driven
@@ -93,14 +93,16 @@ class ScanMatch(NamedTuple):
     beams: int
 
 
-def better(match: ScanMatch, other: ScanMatch, sd: Float[np.ndarray, "3"]) -> ScanMatch:
-    """Of two matches of a scan the one that more returns bear out, less what its distance from odometry costs.
+def better(match: ScanMatch, other: ScanMatch, sd: Float[np.ndarray, "3"], *, narrow: bool) -> ScanMatch:
+    """Of two matches of a scan the one that more returns bear out; in a narrow view less what being far costs.
 
-    A view of what was not seen before matches nowhere, and anywhere a little better than where it is. sd: (3,) that
-    odometry may err by.
+    There a view of what was not seen before is usual, that matches nowhere, and anywhere a little better than where it
+    is. sd: (3,) that odometry may err by.
     """
 
     def borne_out(m: ScanMatch) -> float:
+        if not narrow:
+            return m.matches
         return m.matches - WIDE_LOSS * m.beams * math.log1p(float(np.sum((m.innovation / sd) ** 2)))
 
     return other if borne_out(other) > borne_out(match) else match
@@ -118,11 +120,12 @@ class _Keyframe(NamedTuple):
 class FrontEnd:
     """The local map. `insert` changes it: it belongs to one estimator state.
 
-    ends: whether returns past the end of the walls that were seen are matched to none.
+    ends: whether returns past the end of the walls that were seen are matched to none; narrow: whether views are, so
+    that little of a scan need match, and few returns of one are no more than they are.
     """
 
     def __init__(self, cfg: FrontEndConfig, tangent: float | None = None) -> None:
-        self.cfg, self.ends = cfg, False
+        self.cfg, self.ends, self.narrow = cfg, False, False
         self.tangent = cfg.tangent if tangent is None else tangent
         if cfg.size < 8 or cfg.size & (cfg.size - 1):
             raise ConfigError(f"front_end.size: expected a power of two from 8 on, found {cfg.size}")
@@ -150,7 +153,8 @@ class FrontEnd:
                     b, predicted + np.array([0, 0, turns[k]]), predicted, np.maximum(sd, [0, 0, WIDE_TURN])
                 )
                 count = self._count(self.fine, FRONT_END_FINE, b, tried[0], FRONT_END_REACH)
-                best = better(best, ScanMatch(tried[0], tried[1], se2.between(predicted, tried[0]), count, n), sd)
+                other = ScanMatch(tried[0], tried[1], se2.between(predicted, tried[0]), count, n)
+                best = better(best, other, sd, narrow=self.narrow)
             return best
         return ScanMatch(pose, H, se2.between(predicted, pose), matches, n)
 
@@ -242,7 +246,7 @@ class FrontEnd:
 
     def _whole(self, b: Beams) -> float:
         """What all returns of a scan together tell across one wall [1/m^2]."""
-        return min(self.cfg.neff, len(b.q)) / FRONT_END_SIGMA**2
+        return (min(self.cfg.neff, len(b.q)) if self.narrow else self.cfg.neff) / FRONT_END_SIGMA**2
 
     def _by_directions(self, b: Beams, last: Float[np.ndarray, "3"]) -> Float[np.ndarray, "k 3"]:
         """Poses about the last one at which the scan's walls face where those of the local map do."""

@@ -94,7 +94,8 @@ def blended(
 SEEN_LEAST = 0.5  # of a scan's returns lie where the robot looked before, or nothing of it need match,
 BEAMS_LEAST = 0.1  # nor where fewer of its beams come back:
 ELSEWHERE = 3.0  # sd from where odometry puts it that a match is believed then
-VIEW_TURNED = 0.2  # of its sector that a scan may be turned from the last in the local map, and not be put there
+NARROW = 2.2  # [rad] of a sector that is no narrow view;
+VIEW_TURNED = 0.2  # of a narrow one a scan may be turned from the last in the local map, and not be put there
 STILL = 1e-6  # [m] and [rad] that wheels which report no motion differ by
 NO_INNOVATION = np.zeros(3)
 
@@ -169,6 +170,7 @@ class ScanOdometry:
         steers = feature in STEERING
         self.cfg = cfg if steers else replace(cfg, alpha=0.0)
         self.gate, self.matching, self.tell_lines, self.worth = gate, matching, tell_lines, worth
+        self.narrow = False  # views: see `FieldOfView`
         self.tangent = cfg.tangent if steers else BARE_TANGENT
         self._matcher: Callable[[FrontEndConfig, float], Matcher] = plugged_in(
             "matchers", self.cfg.matcher, "front_end.matcher"
@@ -190,7 +192,7 @@ class ScanOdometry:
         """An empty one. Where wheels have shown what they are worth, walls do not go on past their ends."""
         made = self._matcher(self.cfg, self.tangent)
         if isinstance(made, FrontEnd):
-            made.ends = self.worth is not None
+            made.ends, made.narrow = self.worth is not None, self.narrow
         return made
 
     @property
@@ -257,9 +259,8 @@ class ScanOdometry:
         self.lines = np.zeros((3, 3))
         self._view, n = field_of_view(scan), len(b.q)
         if not len(self.poses):
-            if VIEW_TURNED * self._view.wide < self.cfg.keyframe_turn:
-                self.cfg = replace(self.cfg, keyframe_turn=VIEW_TURNED * self._view.wide)
-                self.front_end = self._local_map()
+            if self._view.wide < NARROW:
+                self._look_narrowly()
             return self._accept(b, np.zeros(3), ScanInfo(NO_INNOVATION, n, 0, "first", information=np.zeros((3, 3))))
         predicted = se2.compose(self.poses[-1], u)
         if n < FRONT_END_LEAST_BEAMS or not self.matching:
@@ -290,12 +291,20 @@ class ScanOdometry:
                 self.front_end = fe
                 break
         self._anew = None if accepted or self.gate is not None else self._local_map()
-        elsewhere = not alone and self._looks_elsewhere(b, predicted)
+        elsewhere = self.narrow and not alone and self._looks_elsewhere(b, predicted)
         if gate is not None:
             accepted = accepted and inside(match.innovation, gate(sd))
         if elsewhere:
             accepted = accepted and inside(match.innovation, ELSEWHERE * sd)
         return match, "matched" if accepted else "unseen" if elsewhere else "odometry"
+
+    def _look_narrowly(self) -> None:
+        """Before the first scan is taken: those of this robot see little of what the last ones saw."""
+        self.narrow = True
+        self.cfg = replace(self.cfg, keyframe_turn=min(self.cfg.keyframe_turn, VIEW_TURNED * self._view.wide))
+        self.front_end = self._local_map()
+        if self.worth is not None:
+            self.worth.narrow = True
 
     def _looks_elsewhere(self, b: Beams, predicted: Float[np.ndarray, "3"]) -> bool:
         """Whether odometry turned the view away from what the local map shows, so that nothing need match."""
@@ -309,7 +318,7 @@ class ScanOdometry:
         if self.worth is None or match.matches >= WIDE_UNDER * match.beams:
             return match
         of_any: ScanMatch = fe.match(b, predicted, allowed_sd(u, self.cfg))
-        return better(match, of_any, sd)
+        return better(match, of_any, sd, narrow=self.narrow)
 
     def _learn(
         self, match: ScanMatch, u: Float[np.ndarray, "3"], predicted: Float[np.ndarray, "3"], *, alone: bool

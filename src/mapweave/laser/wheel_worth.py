@@ -21,7 +21,7 @@ STEP_WIDE = 1.5  # times what steps tell, whose errors have tails
 CAREFUL = 1.5  # times what windows tell, errors over longer ways being alike
 LEAST, MOST = 0.2, 1.0  # of what any wheels may err by, that these are believed to
 PROVEN = 0.5  # of what any wheels may err by over longer ways, under which they are better than matches of few returns
-SELDOM = 0.25  # of the steps: where fewer are held in every direction, as in a narrow view, the median of all counts
+SELDOM = 0.25  # of the steps in narrow views: where fewer are held in every direction, the median of all counts
 MEDIAN = 0.6745  # of the size of a number that is normal with sd 1
 FEW = (0.5, 0.65)  # shares of the returns that match, which part scans in those of few matches, of some and of many
 
@@ -61,11 +61,11 @@ class Median:
 class WheelWorth:
     """What is known of one robot's wheels so far. `see` changes it.
 
-    noise: covariance (3, 3) of a step of any wheels, over x, y, theta.
+    noise: covariance (3, 3) of a step of any wheels, over x, y, theta; narrow: whether the scanner's view is.
     """
 
     def __init__(self, noise: Callable[[Float[np.ndarray, "3"]], Float[np.ndarray, "3 3"]]) -> None:
-        self._noise = noise
+        self._noise, self.narrow = noise, False
         self._step, self._step_turn, self._way, self._turn = Spread(), Spread(), Spread(), Spread()
         self._any = Median(), Median(), Median()  # of all steps, held or not: ahead, aside, turn
         self._off = [(Spread(), Spread()) for _ in range(len(FEW) + 1)]  # of places and headings, by share
@@ -79,7 +79,7 @@ class WheelWorth:
     @property
     def step(self) -> Float[np.ndarray, "3"]:
         """What a step may err by in x, y, theta, over what that of any wheels may."""
-        if self._step.n < SELDOM * len(self._any[0].sizes):
+        if self.narrow and self._step.n < SELDOM * len(self._any[0].sizes):
             return np.array([median.of(STEP_WIDE) for median in self._any])
         xy, turn = self._step.of(STEP_WIDE), self._step_turn
         return np.array([xy, xy, min(max(turn.of(STEP_WIDE), turn.most), MOST)])  # wheels that slipped will slip again
