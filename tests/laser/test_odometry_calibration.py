@@ -13,12 +13,14 @@ from mapweave.laser.odometry_calibration import (
     PARAMETERS,
     OdometryCalibration,
     OdometryCalibrationConfig,
+    OdometryFit,
     WheelNoise,
     calibrate_odometry,
     corrected,
     dead_reckoning,
     is_stated,
     sensor_poses,
+    standard_errors,
 )
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import map_laser
@@ -262,3 +264,10 @@ def test_wheels_of_another_unit_are_told_where_no_walls_tell_the_way():
     sim = simulate_corridor(seed=33)
     made = map_laser(planted(sim.log, at({"speed_scale": 1000.0})), replace(GRAPH, feature="none"), 0)
     assert {"wheels-unlike", "wheels-disagree"} & {found.code for found in made.findings}
+
+
+def test_a_variance_that_rounding_made_negative_tells_nothing():
+    fit = OdometryFit(np.zeros(8), np.diag([-1e-20, *[1e-4] * 7]), np.zeros((8, 8)), np.zeros((2, 8)), np.zeros((2, 8)))
+    sd = standard_errors(fit, np.ones(8, dtype=bool), 0.1)
+    assert np.isinf(sd[0])
+    assert np.isfinite(sd[1:]).all()

@@ -348,7 +348,7 @@ def calibrate_odometry(log: LaserLog, sensor: Float[np.ndarray, "m 3"], beam: Be
     start = _identified(s, wheels, start)
     while True:
         fit = _solve(s, wheels, start)
-        sd = _standard_errors(fit, start.free, float(np.median(np.diff(wheels.t))))
+        sd = standard_errors(fit, start.free, float(np.median(np.diff(wheels.t))))
         if not (start.free & (sd >= OBSERVED * width)).any():
             break
         start = start.without(int(np.argmax(np.where(start.free, sd / width, 0.0))))
@@ -661,7 +661,7 @@ def _scales(
     return np.asarray(x)
 
 
-def _standard_errors(fit: OdometryFit, free: Bool[np.ndarray, "8"], spacing: float) -> Float[np.ndarray, "8"]:
+def standard_errors(fit: OdometryFit, free: Bool[np.ndarray, "8"], spacing: float) -> Float[np.ndarray, "8"]:
     """(8,) from how the scores of blocks scatter, the largest of several lengths of block; infinite where not free.
 
     The sandwich with blocks as clusters, what few blocks tell widened to Student's t; no less than residuals one by
@@ -670,16 +670,22 @@ def _standard_errors(fit: OdometryFit, free: Bool[np.ndarray, "8"], spacing: flo
     from scipy.stats import t as student  # noqa: PLC0415
 
     n = len(fit.score)
-    most = np.sqrt(np.maximum(np.diag(fit.cov), 0.0))
+    most = _deviations(fit.cov)
     for count in (n, *(b for b in BLOCKS if 2 * b <= n)):
         blocks = np.array([part.sum(axis=0) for part in np.array_split(fit.score, count)])
         told = np.array([part.sum(axis=0) for part in np.array_split(fit.told, count)])
         speak = told.sum(axis=0) ** 2 / np.maximum((told**2).sum(axis=0), 1e-300)  # blocks that tell of each
         spread = fit.mixing @ (blocks.T @ blocks * count / (count - 1)) @ fit.mixing.T
         wider = student.ppf(0.99865, np.maximum(speak - 1.0, 2.0)) / 3.0
-        most = np.maximum(most, np.sqrt(np.maximum(np.diag(spread), 0.0)) * wider)
+        most = np.maximum(most, _deviations(spread) * wider)
     systematic = _with(SYSTEMATIC, LAG, max(float(SYSTEMATIC[LAG]), BETWEEN_ROWS * spacing))
     return np.where(free, np.hypot(most, systematic), np.inf)
+
+
+def _deviations(cov: Float[np.ndarray, "8 8"]) -> Float[np.ndarray, "8"]:
+    """Infinite where rounding left less than nothing of a variance: nothing is known there."""
+    variance = np.diag(cov)
+    return np.sqrt(np.where(variance >= 0.0, variance, np.inf))
 
 
 def _agreeing(s: Stretches, wheels: OdometryRows, p: Float[np.ndarray, "8"]) -> float:
