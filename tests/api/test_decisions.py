@@ -148,6 +148,14 @@ def test_results_are_fused_as_it_is_said(made, logs, tmp_path):
     assert len(fused.components) == 2
 
 
+@pytest.mark.slow
+def test_results_of_unequal_cells_are_fused_in_the_finest_whichever_comes_first(logs):
+    coarse, fine = (mapweave.map([log], resolution=cell) for log, cell in zip(logs, (0.2, 0.05), strict=True))
+    for pair in ([coarse, fine], [fine, coarse]):
+        (whole,) = mapweave.fuse(pair).components
+        assert whole.grid.resolution == 0.05
+
+
 @pytest.mark.parametrize(
     ("table", "why"),
     [

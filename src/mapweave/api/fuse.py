@@ -59,13 +59,13 @@ def fuse_laser(
             _renamed_laser(local_map, f"{name}/{robot_name(local_map.robot)}")
             for local_map in read_laser_states(folder).maps
         ]
+    if config is None:
+        cfg = replace(cfg, resolution=min(local_map.grid.resolution for local_map in maps))
     findings = []
     while (twice := same_logs(maps)) is not None:
         first, again = twice
         maps = [local_map for local_map in maps if local_map is not again]
         findings.append(Finding("log-twice", again.robot, value=first.robot, action="it counts once"))
-    if config is None:
-        cfg = replace(cfg, resolution=maps[0].grid.resolution)
     return woven_result(
         maps,
         cfg,
@@ -118,7 +118,8 @@ def fuse(
         What `evaluate` takes; used for scoring alone.
     config
         Settings, in a file or in memory as for `map`: as `configuration("fuse")` prints them, `configuration("fuse",
-        laser=True)` for laser maps (the tables `merge` and `graph.joint` and `resolution`); options here win.
+        laser=True)` for laser maps (the tables `merge` and `graph.joint`, and `resolution`, without a configuration the
+        finest of theirs); options here win.
     seed
         Kept in the metrics; the result does not depend on it (0).
     decisions
