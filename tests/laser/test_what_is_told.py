@@ -146,7 +146,7 @@ def test_a_robot_that_is_carried_to_another_room_is_told_with_the_time(office):
 
 
 @pytest.mark.parametrize("limit", [False, True])
-@pytest.mark.parametrize(("unit", "factor"), [("millimetres", 1000.0), ("centimetres", 100.0)])
+@pytest.mark.parametrize(("unit", "factor"), [("millimetres", 1000.0), ("centimetres", 100.0), ("inches", 39.37)])
 def test_ranges_in_another_unit_are_refused_with_its_name(office, unit, factor, limit):
     def change(raw):
         return replace(raw, ranges=factor * raw.ranges, range_max=(factor if limit else 1.0) * raw.range_max)
