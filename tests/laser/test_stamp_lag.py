@@ -5,7 +5,7 @@ import pytest
 
 from mapweave.core.records import Track
 from mapweave.laser import log_warnings
-from mapweave.laser.log_warnings import LAG_CAPPED, LAG_TURN, lag_found, stamp_lag
+from mapweave.laser.log_warnings import LAG_CAPPED, LAG_TURN, clock_drift, lag_found, stamp_lag
 
 
 def turns(seed, lag, n=600, noise=0.003):
@@ -27,10 +27,29 @@ def test_the_lag_of_scans_behind_odometry_is_found(seed, lag):
 
 
 def test_a_lag_is_told_with_its_length_and_which_comes_later():
-    (late,), (early,) = lag_found(0.5, "1"), lag_found(-0.35, "1")
+    (late,), (early,) = lag_found(0.5, None, "1"), lag_found(-0.35, None, "1")
     assert late.text.startswith("the scans bear stamps 0.50 s after those of the odometry")
     assert early.text.startswith("the scans bear stamps 0.35 s before those of the odometry")
-    assert lag_found(None, "1") == lag_found(0.1, "1") == ()
+    assert lag_found(None, None, "1") == lag_found(0.1, None, "1") == ()
+
+
+@pytest.mark.parametrize("rate", [0.01, -0.03, 0.05])
+@pytest.mark.parametrize("seed", [5, 6])
+def test_a_clock_that_runs_faster_is_found_and_is_no_lag(seed, rate):
+    t, seen, odometry = turns(seed, 0.0)
+    drifted = t[0] + (1.0 + rate) * (t - t[0])
+    assert stamp_lag(drifted, seen, odometry) is None
+    assert clock_drift(drifted, seen, odometry) == pytest.approx(rate, abs=0.0016)
+    (told,) = lag_found(0.5, rate, "1")
+    assert told.text.startswith(f"the clock of the scans runs {100 * abs(rate):.1f} % {'fas' if rate > 0 else 'slow'}")
+
+
+def test_no_drift_is_found_of_clocks_that_agree_or_lag_nor_of_other_wheels():
+    assert clock_drift(*turns(7, 0.0)) is None
+    assert clock_drift(*turns(7, 2.0)) is None
+    for seed in range(8, 12):
+        t, seen, _ = turns(seed, 0.0)
+        assert clock_drift(t, seen, turns(seed + 10, 0.0)[2]) is None
 
 
 def test_nothing_is_found_where_nothing_turns_or_headings_have_nothing_in_common():

@@ -282,6 +282,13 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "Every scan is given the odometry of another moment, and walls may lie wrong after turns.",
             "Set the scanner's clock, or correct the stamps by so much.",
         ),
+        "clock-drift": FindingKind(
+            "doubtful",
+            "the clock of the scans runs {value:.1f} % {way} than that of the odometry",
+            "Scans and odometry drift apart: every scan is given the odometry of another moment, the more the longer "
+            "the log, and walls may lie wrong after turns.",
+            "Stamp both by one clock, or scale the scans' stamps by so much.",
+        ),
     },
     "Wheels and scans": {
         "no-odometry": FindingKind(

@@ -20,6 +20,7 @@ noise never comes twice. Where noise was added they are in one place at one time
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -44,6 +45,16 @@ LAG_PARTS = 8  # of the log, each asked by itself,
 LAG_AGREE = 0.75  # share of them that must find the same lag
 LAG_WITHIN = 0.1  # [s] of each other
 LAG_LEAST = 0.2  # [s] of lag that is told
+LAGS = LAG_STEP * np.arange(-round(LAG_MOST / LAG_STEP), round(LAG_MOST / LAG_STEP) + 1)
+DRIFT_SPAN = 200.0  # [s] of the log that are asked by how much one clock is faster,
+RATES = 0.0005 * np.arange(-120, 121)  # of which these are tried, and these lags [s] at its begin;
+FIRST_LAGS = 0.1 * np.arange(-15, 16)
+DRIFT_OWN = (
+    1e-3  # [rad] from the wheels' turn at the same stamps: what is nearer was taken from them, and tells nothing
+)
+DRIFT_GAIN = 0.85  # share of the difference by any constant lag that may remain, at most, and
+DRIFT_WITHIN = 0.005  # of each other every second turn and the others must find the rate
+DRIFT_LEAST = 0.005  # that is told
 
 WHEEL_STRETCH = 2.0  # [m] driven, whose lengths are compared
 WHEEL_SHARE = 0.2  # by which they differ
@@ -83,25 +94,68 @@ def stamp_lag(t: Float[np.ndarray, " m"], heading: Float[np.ndarray, " m"], odom
 
     t, heading: of the scans as they were matched, headings unwrapped.
     """
-    if odometry is None or len(odometry.t) < 2 or len(t) < 2:
+    turns = _Turns.of(t, heading)
+    if odometry is None or len(odometry.t) < 2 or turns is None:
         return None
-    turned = np.diff(heading)
-    turning = np.abs(turned) >= LAG_TURN
-    if turning.sum() < LAG_TURNS:
-        return None
-    wheels = np.unwrap(odometry.pose[:, 2])
-    lags = LAG_STEP * np.arange(-round(LAG_MOST / LAG_STEP), round(LAG_MOST / LAG_STEP) + 1)
-    by = np.array([np.diff(np.interp(t - lag, odometry.t, wheels))[turning] for lag in lags])
-    apart = np.minimum(np.abs(turned[turning] - by), LAG_CAPPED)
+    apart = turns.apart(odometry, LAGS[:, None])
     whole = apart.mean(axis=1)
     best = int(np.argmin(whole))
-    own = lags[[int(np.argmin(part.mean(axis=1))) for part in np.array_split(apart, LAG_PARTS, axis=1)]]
-    sure = np.mean(np.abs(own - lags[best]) <= LAG_WITHIN + 1e-9) >= LAG_AGREE
-    return float(lags[best]) if sure and whole[best] <= LAG_GAIN * whole[len(lags) // 2] else None
+    own = LAGS[[int(np.argmin(part.mean(axis=1))) for part in np.array_split(apart, LAG_PARTS, axis=1)]]
+    sure = np.mean(np.abs(own - LAGS[best]) <= LAG_WITHIN + 1e-9) >= LAG_AGREE
+    return float(LAGS[best]) if sure and whole[best] <= LAG_GAIN * whole[len(LAGS) // 2] else None
 
 
-def lag_found(lag: float | None, robot: str) -> tuple[Finding, ...]:
-    """A finding for a lag that matters."""
+def clock_drift(t: Float[np.ndarray, " m"], heading: Float[np.ndarray, " m"], odometry: Track | None) -> float | None:
+    """The share by which the clock of the scans runs faster than that of the odometry, slower if negative.
+
+    None where the turns of the first `DRIFT_SPAN` do not tell it. t, heading: of the scans as they were matched,
+    headings unwrapped.
+    """
+    soon = t <= t[0] + DRIFT_SPAN
+    turns = _Turns.of(t[soon], heading[soon])
+    if odometry is None or len(odometry.t) < 2 or turns is None:
+        return None
+    by_lags = turns.apart(odometry, LAGS[:, None])
+    own = by_lags[len(LAGS) // 2] > DRIFT_OWN
+    if by_lags.mean(axis=1).min() <= LAG_TURN or own.sum() < LAG_TURNS // 2:
+        return None
+    lags, rates = (grid.ravel() for grid in np.meshgrid(FIRST_LAGS, RATES))
+    apart = turns.apart(odometry, lags[:, None] + rates[:, None] * (turns.t - turns.t[0]))[:, own]
+    best, odd, even = (int(np.argmin(some.mean(axis=1))) for some in (apart, apart[:, 1::2], apart[:, ::2]))
+    sure = apart[best].mean() <= DRIFT_GAIN * by_lags[:, own].mean(axis=1).min()
+    same = abs(rates[odd] - rates[even]) <= DRIFT_WITHIN
+    faster = float(rates[best] / (1.0 - rates[best]))  # the rates are of what the scans' clock passed
+    return faster if sure and same and abs(faster) >= DRIFT_LEAST else None
+
+
+class _Turns(NamedTuple):
+    """What scans that turn tell of clocks. t: (m,) [s] of all; turned: (n,) [rad] from one to the next, where
+    `turning`, (m - 1,), says so.
+    """
+
+    t: Float[np.ndarray, " m"]
+    turned: Float[np.ndarray, " n"]
+    turning: Bool[np.ndarray, " k"]
+
+    @classmethod
+    def of(cls, t: Float[np.ndarray, " m"], heading: Float[np.ndarray, " m"]) -> "_Turns | None":
+        """None where too few turn."""
+        turned = np.diff(heading)
+        turning = np.abs(turned) >= LAG_TURN
+        return cls(t, turned[turning], turning) if turning.sum() >= LAG_TURNS else None
+
+    def apart(self, odometry: Track, late: Float[np.ndarray, "k #m"]) -> Float[np.ndarray, "k n"]:
+        """(k, n) [rad] from the turns of wheels whose stamps are `late` [s] behind, (k, m) or (k, 1)."""
+        wheels = np.unwrap(odometry.pose[:, 2])
+        by = np.array([np.diff(np.interp(self.t - one, odometry.t, wheels))[self.turning] for one in late])
+        return np.asarray(np.minimum(np.abs(self.turned - by), LAG_CAPPED))
+
+
+def lag_found(lag: float | None, drift: float | None, robot: str) -> tuple[Finding, ...]:
+    """A finding for a drift, or else for a lag that matters."""
+    if drift is not None:
+        told = {"value": 100 * abs(drift), "way": "faster" if drift > 0 else "slower"}
+        return (Finding("clock-drift", robot, value=told),)
     if lag is None or abs(lag) < LAG_LEAST - 1e-9:
         return ()
     return (Finding("stamp-lag", robot, value={"value": abs(lag), "way": "after" if lag > 0 else "before"}),)

@@ -23,6 +23,7 @@ from ..laser.config import Feature
 from ..laser.laser_map import LaserMap, ScanInfos
 from ..laser.light_worth import apart, worth
 from ..laser.log_warnings import (
+    clock_drift,
     jumps,
     lag_found,
     slides_alone,
@@ -353,9 +354,9 @@ def map_session(
     robot = log.robot
     timed = not any(found.code in {"stamps-none", "stamps-equal"} for found in log.findings)
     heading = np.unwrap(result.scans.pose[:, 2])
-    lag = stamp_lag(log.scan_t, heading, clean.odometry) if timed else None
+    lag, drift = (ask(log.scan_t, heading, clean.odometry) if timed else None for ask in (stamp_lag, clock_drift))
     disagreement = (
-        *lag_found(lag, robot),
+        *lag_found(lag, drift, robot),
         *_placed_again(jumps(result.scans, log.scans, robot), graph),
         *wheels_disagree(track, dead, robot, agreement.factor()),
         *wheels_stand(track, dead, robot),
