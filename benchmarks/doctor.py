@@ -29,8 +29,8 @@ from mapweave.sim.laser import DriftConfig, DriveConfig, Scanner, WallStyle, Wor
 from mapweave.sim.laser_worlds import OfficeConfig, TunnelConfig, office_route, office_world, simulate_tunnel
 
 DRIFT = DriftConfig(end_error=(1.0, 2.0))
-LOOP5 = "carmen/loop5.log.gz"  # which has no stamps
-REAL = ("urg04lx/exp1.dat.gz", "carmen/mit-csail.clf.gz", "bags/turtlebot4.db3", "carmen/fr-clinic.clf.gz", LOOP5)
+STAMPED = ("urg04lx/exp1.dat.gz", "carmen/mit-csail.clf.gz", "bags/turtlebot4.db3", "carmen/fr-clinic.clf.gz")
+REAL = (*STAMPED, "carmen/loop5.log.gz")
 Rng = np.random.Generator
 
 
@@ -55,8 +55,8 @@ def real(name: str) -> LaserLog:
 
 
 def part(log: LaserLog, rng: Rng) -> LaserLog:
-    """Seven tenths of a log, at most 500 scans, from somewhere on."""
-    n = min(500, round(0.7 * len(log.scans)))
+    """Seven tenths of a log, at most 400 scans, from somewhere on."""
+    n = min(400, round(0.7 * len(log.scans)))
     first = int(rng.integers(0, max(1, len(log.scans) - n)))
     kept = slice(first, first + n)
     return replace(log, scan_t=log.scan_t[kept], scans=log.scans[kept], odometry=None)
@@ -83,13 +83,13 @@ def either(rng: Rng, low: float, high: float) -> float:
 
 
 def slip(rng: Rng) -> Change:
-    """Over stretches of 3 to 6 m wheels spin: they tell half as far again, up to thrice as far."""
+    """Over four stretches, a tenth of the way or more, wheels spin: they tell half as far again, or thrice as far."""
 
     def change(_: np.ndarray, pose: np.ndarray) -> np.ndarray:
         step = se2.between(pose[:-1], pose[1:])
         way = np.cumsum(np.hypot(*step[:, :2].T))
         for at in np.linspace(0.1, 0.8, 4) * way[-1]:
-            there = (way > at) & (way < at + rng.uniform(3.0, 6.0))
+            there = (way > at) & (way < at + rng.uniform(0.1, 0.2) * way[-1])
             step[there] *= [rng.uniform(1.5, 3.0), 1.0, rng.uniform(0.6, 1.4)]
         out = [pose[0]]
         for one in step:
@@ -233,8 +233,8 @@ PLANTS: dict[str, Callable[[Rng, int], list[RawLog]]] = {
     "none": corrupted(lambda _: lambda _log: None),
     "units": corrupted(units),
     "mirrored": corrupted(mirrored),
-    "clock": corrupted(clock),
-    "lag": corrupted(lag, [name for name in REAL if name != LOOP5]),
+    "clock": corrupted(clock, STAMPED),
+    "lag": corrupted(lag, STAMPED),
     "mounting": corrupted(turned),
     "scale": corrupted(scale),
     "mixed": mixed,

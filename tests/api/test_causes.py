@@ -63,6 +63,22 @@ def test_what_lies_deepest_comes_first_and_what_may_be_its_sign_counts_alone():
     assert of() == []
 
 
+@pytest.mark.parametrize(
+    ("told", "cause"),
+    [
+        ({"ways": 10.0, "turns": 60.0, "aside": 1.0}, "lag"),
+        ({"ways": 40.0, "turns": 0.0, "aside": -88.0}, "mounting"),
+        ({"ways": 40.0, "turns": 0.0, "aside": 0.5}, "slip"),
+        ({"ways": 40.0, "turns": 60.0, "aside": 0.5}, "mixed"),
+    ],
+)
+def test_wheels_that_tell_another_motion_are_told_apart_by_what_of_it_is_another(told, cause):
+    log = mapweave.simulate_laser(world=mapweave.CorridorConfig(distance=2.0), seed=1).log
+    made = mapweave.map(log)
+    found = (Finding("wheels-other", made.maps[0].robot, value=told),)
+    assert cause in [name for name, _ in causes._measured(made.maps[0], found)]
+
+
 def test_the_command_tells_a_sentence_with_evidence_and_mending(tmp_path, capsys):
     mapweave.simulate_landmarks(tmp_path / "team", robots=2, landmarks=12, minutes=1.0, seed=8)
     mapweave.map(tmp_path / "team", tmp_path / "out")

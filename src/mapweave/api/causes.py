@@ -97,6 +97,7 @@ TOLD = {  # code of a finding: the cause that it is a sign of by itself
     "stamps-mixed": "clock",
     "wheels-untimed": "clock",
     "clock-apart": "clock",
+    "clock-drift": "clock",
     "robot-clock": "clock",
     "robot-clock-maybe": "clock",
     "stamp-lag": "lag",
@@ -258,8 +259,9 @@ def _measured(m: LaserMap, findings: Sequence[Finding]) -> Iterator[tuple[str, s
     yield from _calibrated(m)
     for f in findings:
         if f.code == "wheels-other" and f.robot == robot_key(m.robot) and isinstance(f.value, dict):
-            ways, turns = float(f.value["ways"]), float(f.value["turns"])
-            yield "lag" if turns > 2 * ways else "mounting" if ways > 2 * turns else "mixed", f.text
+            ways, turns, aside = (float(f.value[name]) for name in ("ways", "turns", "aside"))
+            of_ways = "mounting" if abs(np.radians(aside)) >= YAW else "slip"
+            yield "lag" if turns > 2 * ways else of_ways if ways > 2 * turns else "mixed", f.text
     beams = m.scans.beams
     reach = 0.0 if m.graph is None or not len(m.graph.points) else _reach(m.graph)
     if np.median(beams) < FEW or 0.0 < reach < NEAR:

@@ -77,8 +77,9 @@ class MotionAgreement:
         out = []
         apart = self.other > MOST_OTHER or self.other_turns > MOST_OTHER_TURNS
         if apart:
-            shares = {"ways": 100 * self.other, "turns": 100 * self.other_turns}
-            out.append(Finding("wheels-other", robot, value=shares))
+            aside = 0.0 if self.direction is None else float(np.degrees(self.direction.value))
+            told = {"ways": 100 * self.other, "turns": 100 * self.other_turns, "aside": aside}
+            out.append(Finding("wheels-other", robot, value=told))
         if not apart and (s := self.scale) is not None and s.differs(1.0, MOTION_SCALE):
             out.append(Finding("wheels-scale", robot, value={"value": s.value, "sd": s.sd}))
         if not apart and (d := self.direction) is not None and d.differs(0.0, MOTION_TURNED):
