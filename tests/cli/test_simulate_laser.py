@@ -51,6 +51,10 @@ def test_a_world_or_file_that_cannot_be_is_bad_usage(tmp_path, capsys):
     assert "expected a file name such as corridor.mcap" in capsys.readouterr().err
     assert _run(["simulate", "corridor", "--out", str(out), "--scan-every", "0"]) == 2
     assert "--scan-every: too small" in capsys.readouterr().err
+    assert _run(["simulate", "corridor", "--out", str(out), "--falloff", "0"]) == 2
+    assert "--falloff: too small" in capsys.readouterr().err
+    assert _run(["simulate", "corridor", "--out", str(out), "--specular", "5"]) == 2
+    assert "--specular: expected a share from 0 to 1, found 5" in capsys.readouterr().err
     assert _run(["simulate", "corridor", "--out", str(out), "--long-leg", "12"]) == 2
     assert "--start: expected between 1.2 and 10.8 m along a leg of 12 m, found 15" in capsys.readouterr().err
     assert _run(["simulate", "tunnel", "--out", str(out), "--sensor-pose", "1,2"]) == 2

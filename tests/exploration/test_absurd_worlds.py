@@ -82,6 +82,10 @@ def test_options_beyond_all_use_are_refused_with_the_number(tmp_path, world, opt
         (FIELD, "[joint.search]\ntries = 0", r"joint\.search\.tries: expected a number above 0, found 0"),
         (FIELD, "[coverage]\nradios = 3", r"coverage\.radios: unknown key"),
         (ROOM, "[robots.scanner]\nbeams = 1000000000", r"robots\.scanner\.beams: expected at most 20000"),
+        (ROOM, "[robots.scanner]\nopening = 360.0", r"robots\.scanner\.opening: expected at most 6\.28319, found 360"),
+        (ROOM, "[robots.scanner]\nnear = 20.0", r"robots\.scanner\.near: expected at most 12, found 20"),
+        (ROOM, "[robots.law]\nfalloff = 0", r"robots\.law\.falloff: expected a number above 0, found 0"),
+        (ROOM, "[robots.law]\nspecular = 5\nbeams = 1000", r"law\.specular: .* 1, found 5; .*law\.beams: .* 10, "),
     ],
 )
 def test_settings_that_ask_for_too_much_are_refused_with_the_number(tmp_path, world, settings, message):

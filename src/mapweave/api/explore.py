@@ -194,11 +194,12 @@ def kills_of(kill: Mapping[str, int], robots: int, option: str = "--kill") -> di
 
 LASER_POSITIVE = (
     *("robots.radius", "robots.speed", "robots.turn", "robots.period", "robots.scanner.beams", "robots.scanner.far"),
-    *("plan.resolution", "plan.max_steps", "map_resolution"),
+    *("robots.law.falloff", "plan.resolution", "plan.max_steps", "map_resolution"),
 )
 COARSEST = 1.0  # [m], cells that could still show a door
 FARTHEST_BEAM = 1000.0  # [m]
 MOST_BEAMS = 20_000  # of one scan, each cast through all walls
+MOST_GAIN = 10.0  # [log units] sd of the gain that each beam has of its own
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -277,12 +278,17 @@ def explore_laser(name: str, scenario: LaserScenarioConfig, options: ExploreOpti
 
 
 def _check_sizes(cfg: LaserMissionConfig, where: str) -> None:
-    """Raises ConfigError for cells coarser or scans longer than planning can use."""
+    """Raises ConfigError for cells coarser or scans longer than planning can use, and for what no scanner is."""
+    scanner, law = cfg.robots.scanner, cfg.robots.law
     limits = (
         ("plan.resolution", cfg.plan.resolution, COARSEST),
         ("map_resolution", cfg.map_resolution, COARSEST),
-        ("robots.scanner.far", cfg.robots.scanner.far, FARTHEST_BEAM),
-        ("robots.scanner.beams", cfg.robots.scanner.beams, MOST_BEAMS),
+        ("robots.scanner.far", scanner.far, FARTHEST_BEAM),
+        ("robots.scanner.near", scanner.near, scanner.far),
+        ("robots.scanner.opening", scanner.opening, 2.0 * np.pi),
+        ("robots.scanner.beams", scanner.beams, MOST_BEAMS),
+        ("robots.law.specular", law.specular, 1.0),
+        ("robots.law.beams", law.beams, MOST_GAIN),
     )
     out_of_range = [f"{key}: expected at most {most:g}, found {value:g}" for key, value, most in limits if value > most]
     if out_of_range:

@@ -260,6 +260,7 @@ def _check(world: World) -> None:
         "--scan-every": drive.scan_every,
         "--speed": drive.speed,
         "--range": drive.scanner.far,
+        "--falloff": drive.law.falloff,
         "--beams": drive.scanner.beams - 1,
     }
     if isinstance(world, CorridorConfig):
@@ -277,6 +278,7 @@ def _check(world: World) -> None:
     for option, value in positive.items():
         if not value > 0:
             raise UsageError(f"{option}: too small for this world")
+    _check_share("--specular", drive.law.specular)
     expect_at_most({"--beams": (drive.scanner.beams, MOST_BEAMS), "--people": (drive.people, MOST_PEOPLE)})
     if isinstance(world, OfficeConfig):
         expect_at_most({"--rooms": (world.rooms, MOST_ROOMS)})
