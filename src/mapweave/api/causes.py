@@ -259,8 +259,9 @@ def _measured(m: LaserMap, findings: Sequence[Finding]) -> Iterator[tuple[str, s
     yield from _calibrated(m)
     for f in findings:
         if f.code == "wheels-other" and f.robot == robot_key(m.robot) and isinstance(f.value, dict):
-            ways, turns, aside = (float(f.value[name]) for name in ("ways", "turns", "aside"))
-            of_ways = "mounting" if abs(np.radians(aside)) >= YAW else "slip"
+            ways, turns = float(f.value["ways"]), float(f.value["turns"])
+            aside = np.radians(float(f.value.get("aside", 90.0)))  # results of 0.3 and before do not hold it
+            of_ways = "mounting" if abs(aside) >= YAW else "slip"
             yield "lag" if turns > 2 * ways else of_ways if ways > 2 * turns else "mixed", f.text
     beams = m.scans.beams
     reach = 0.0 if m.graph is None or not len(m.graph.points) else _reach(m.graph)
