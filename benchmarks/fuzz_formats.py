@@ -27,8 +27,7 @@ from mapweave.io.positions import read_network, read_positions, read_track, writ
 from mapweave.io.relations import read_relations
 from mapweave.io.robot_graph import read_robot_graph, write_robot_graph
 from mapweave.io.ros_map import read_plan, read_ros_map
-from mapweave.io.sightings import read_sightings, read_swarm_odometry, read_swarm_truth
-from mapweave.io.team_bearings import read_team_bearings
+from mapweave.io.sightings import read_sightings, read_swarm_odometry, read_swarm_truth, read_team_bearings
 from mapweave.io.team_map import read_metrics, read_single_maps, read_team_maps, write_landmarks, write_tracks
 from mapweave.io.tum import read_tum, write_tum
 from mapweave.landmarks.landmark_map import LandmarkMap, LocalMap, RobotSightings, Submap

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mapweave.core.errors import EstimateError
-from mapweave.live import beside, laser_weaver, map_process, shared_map
+from mapweave.live import isolation, laser_weaver, map_process, shared_map
 from mapweave.live.driven import DrivenSession
 from mapweave.live.inbox import Inbox
 from mapweave.live.isolation import without_culprits
@@ -238,7 +238,7 @@ WORDS = {
 def test_every_thread_that_dies_or_hangs_is_told_and_another_takes_its_place(tmp_path, monkeypatch, which, how):
     monkeypatch.setattr(map_process, "REST", 0.0)
     if how == "hangs":
-        monkeypatch.setattr(beside, "HUNG", HUNG)
+        monkeypatch.setattr(isolation, "HUNG", HUNG)
         monkeypatch.setattr(laser_weaver, "HUNG", HUNG)
     where, name, told = THREADS[which]
     told = told.format(WORDS.get((which, how)) or WORDS[how])

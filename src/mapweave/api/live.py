@@ -23,16 +23,15 @@ from ..core.paths import AnyConfig, checked_arguments
 from ..core.version import __version__
 from ..core.workers import one_blas_thread
 from ..io.directory import check_target, write_json
-from ..live.bag_feed import BagFeed
 from ..live.credentials import expect_heard, make_team
+from ..live.driven import LaserRobot
 from ..live.inbox import Inbox
 from ..live.isolation import without_culprits
 from ..live.landmark_robot import LandmarkRobot
-from ..live.laser_robot import LaserRobot
 from ..live.map_process import MapProcess
 from ..live.messages import Header, check_name
 from ..live.robot import Listeners, Pace, RobotProcess
-from ..live.sources import messages, open_recording, open_source
+from ..live.sources import BagFeed, messages, open_recording, open_source
 from ..live.store import Store, begun
 from ..live.told import follow
 from ..live.topics import Topics

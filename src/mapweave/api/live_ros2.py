@@ -10,7 +10,7 @@ from threading import Event
 from ..core.config import load
 from ..core.errors import UsageError
 from ..core.paths import AnyConfig
-from ..live.laser_robot import LaserRobot
+from ..live.driven import LaserRobot
 from ..live.messages import Header, RefusedError
 from ..live.robot import Driving, Listeners, Pace, RobotProcess
 from ..live.ros2.feed import Chosen, RosFeed

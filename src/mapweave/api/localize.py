@@ -19,10 +19,9 @@ from ..core.run import robot_rng
 from ..core.version import __version__
 from ..core.workers import Progress, no_progress, one_blas_thread
 from ..io.directory import check_target, write_json
-from ..io.laser_arrays import laser_log_of
+from ..io.laser_arrays import NOWHERE, LaserStream, Numbers, laser_log_of
 from ..io.laser_logs import LaserSource, read_laser
 from ..io.laser_map import NAME, read_grid, write_scans
-from ..io.laser_stream import NOWHERE, LaserStream, Numbers
 from ..io.ros_map import YAML_SUFFIXES, read_ros_map
 from ..io.table import Columns, columns_of
 from ..io.tum import read_tum, write_tum
@@ -34,8 +33,8 @@ from ..laser.localise_filter import LocaliseConfig
 from ..laser.localise_trust import Evidence
 from ..laser.scan_odometry import PoseEstimate
 from ..mapping.config import LaserConfig
-from ..report.localize import localisation_scene, write_localisation_report
 from ..report.result import ResultBase, Rows, written
+from ..report.small_pages import localisation_scene, write_localisation_report
 from ..report.style import Target
 from .in_memory import Truth, result_folder, truth_files
 from .laser_result import LaserResult

@@ -18,9 +18,8 @@ from ..core.records import Odometry
 from ..core.workers import Progress, no_progress, one_blas_thread
 from ..evaluation.swarm import StandingScore, score_moving, score_standing, scored_robots, true_places
 from ..io.directory import check_target
-from ..io.sightings import SwarmTruth, read_swarm_odometry, read_swarm_truth
+from ..io.sightings import SwarmTruth, read_swarm_odometry, read_swarm_truth, read_team_bearings
 from ..io.table import Columns, Table, columns_of, table_of
-from ..io.team_bearings import read_team_bearings
 from ..swarm.config import Method, SwarmConfig
 from ..swarm.locate import locate as locate_network
 from ..swarm.moving.result import SwarmTrack, TrackConfig

@@ -16,7 +16,7 @@ from ..core.version import __version__
 from ..core.workers import one_blas_thread
 from ..io.directory import check_target, write_json
 from ..io.mcap import write_mcap
-from ..io.mixed_team import Row, TrueTeam, write_mixed_team, write_truth
+from ..io.mixed_logs import Row, TrueTeam, write_mixed_team, write_truth
 from ..io.mrclam import write_mrclam
 from ..io.range_bags import write_range_bag
 from ..io.sightings import write_sightings

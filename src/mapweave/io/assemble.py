@@ -19,9 +19,18 @@ from ..core.fixes import Fixes
 from ..core.laser_log import LEAST_RETURNS, LaserLog
 from ..core.records import Scan, Track, expect_seconds, frozen
 from .inertial import IMU, Inertial, with_turns
-from .range_unit import unit_of_ranges
-from .scan_checks import REPEAT, range_difference, repeated, scan_agreement, without_false_returns
-from .stamps import ENOUGH, Mended, mended_stamps, rows_by_scanner
+from .scan_checks import (
+    ENOUGH_ROWS,
+    REPEAT,
+    Mended,
+    mended_stamps,
+    range_difference,
+    repeated,
+    rows_by_scanner,
+    scan_agreement,
+    unit_of_ranges,
+    without_false_returns,
+)
 
 PAIRS = 400  # scan pairs looked at, at most
 VOTES = 10  # pairs that must speak before anything is said
@@ -315,7 +324,7 @@ class RawLog:
             self.find("scans-blind", every)
         elif empty:
             self.find("scans-empty", {"value": empty, "all": every}, "odometry carries over them")
-        if every > empty and every >= ENOUGH and max(returns) < LEAST_RETURNS:
+        if every > empty and every >= ENOUGH_ROWS and max(returns) < LEAST_RETURNS:
             self.find("scans-sparse", {"value": every, "least": LEAST_RETURNS})
         if nan := sum(int(np.isnan(raw.ranges).sum()) for raw in scans):
             self.find("ranges-nan", nan)

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..core.config import config
-from ..kernels.laser.resample import systematic
+from ..kernels.laser.refine import systematic
 from .beam import Beams
 from .laser_map import GridMap
 from .likelihood_field import NearestField

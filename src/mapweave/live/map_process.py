@@ -21,11 +21,10 @@ from ..core.landmark_log import LandmarkLog
 from ..core.names import robot_name
 from ..landmarks.config import EkfSlamConfig
 from ..mapping.config import LaserConfig
-from .beside import beside
 from .columns import listed, square, triangle, unpack_triangle
 from .door import decode
 from .inbox import Inbox, Ledger
-from .isolation import in_words, without_culprits
+from .isolation import beside, in_words, without_culprits
 from .joined import Apart, Joined
 from .landmark_robot import mapped_again
 from .landmark_stream import LandmarkRecord, rows_told
