@@ -47,12 +47,11 @@ from mapweave.live.door import MOST_BEAMS
 from mapweave.live.landmark_robot import LandmarkRobot
 from mapweave.live.laser_team import compile_kernels
 from mapweave.live.map_process import MapProcess
-from mapweave.live.messages import LARGEST, Header, MapState, Message, ScanBeams, Scans, Status, encode
+from mapweave.live.messages import LARGEST, Header, MapState, Message, ScanBeams, Scans, Status, Topics, encode
 from mapweave.live.robot import pause_after
 from mapweave.live.sources import messages
 from mapweave.live.store import Store
 from mapweave.live.tiles import SIDE
-from mapweave.live.topics import Topics
 from mapweave.live.transport import Network, put, session
 from mapweave.mapping.merge_search import MergeConfig
 from mapweave.sim.landmarks import TeamWorld, simulate_team

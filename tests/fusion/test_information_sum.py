@@ -5,12 +5,10 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.core.errors import EstimateError
-from mapweave.fusion import information_sum
 from mapweave.fusion.cluster import clusters
 from mapweave.fusion.full_covariance import join
-from mapweave.fusion.information_sum import InformationSum
 from mapweave.fusion.join import fuse
-from mapweave.fusion.online import OnlineFuser
+from mapweave.fusion.online import InformationSum, OnlineFuser
 from mapweave.landmarks.landmark_map import LandmarkMap
 
 from .test_online import versions

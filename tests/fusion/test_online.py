@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.fusion import information_sum
 from mapweave.fusion.join import fuse
 from mapweave.fusion.online import OnlineFuser
 

@@ -27,11 +27,10 @@ from mapweave.kernels.laser.tile_writing import insert, touch
 from mapweave.kernels.laser.tiles import FLOATS, TileBooks, TileMaps, gather
 from mapweave.kernels.laser.windows import NearestRule, score
 from mapweave.kernels.mapping.places import Clouds, SearchedField, SearchRules, heading_peaks, search_submaps
-from mapweave.kernels.mapping.views import Looks, judge_walls
-from mapweave.kernels.walls.raycast import cast
 from mapweave.kernels.walls.segments import (
     Raster,
     Sector,
+    cast,
     distance_of_moves,
     distance_to_walls,
     enclosed,
@@ -39,7 +38,7 @@ from mapweave.kernels.walls.segments import (
     mark_near,
     sight_on_raster,
 )
-from mapweave.kernels.walls.sight import mark_in_sight, points_in_sight, unexplored_in_sight
+from mapweave.kernels.walls.sight import Looks, judge_walls, mark_in_sight, points_in_sight, unexplored_in_sight
 from mapweave.kernels.walls.wall_grid import WallBuckets, cast_in_grid, fill_buckets, touches_wall
 
 pytestmark = pytest.mark.kernel
@@ -286,7 +285,7 @@ MADE_BY_US = {
     # modules whose numbers make no index, or whose indices are made by their callers from lengths of lists
     "block_cholesky", "cells", "compiling", "dense", "elimination", "fronts", "laps",
     "tours", "wavefront", "ekf", "ekf_drive", "ekf_smooth", "ekf_state",
-    "submap", "own_folder",
+    "submap",
 }  # fmt: skip
 
 

@@ -18,12 +18,11 @@ from mapweave.live.isolation import without_culprits
 from mapweave.live.laser_team import LiveLaserTeam
 from mapweave.live.laser_weaver import LaserWeaver
 from mapweave.live.map_process import MapProcess
-from mapweave.live.messages import Header, Snapshot, encode
+from mapweave.live.messages import Header, Snapshot, Topics, encode
 from mapweave.live.pair_search import PairTrial
 from mapweave.live.shared_map import Fusing, SharedMap
 from mapweave.live.store import Store
 from mapweave.live.tile_mapper import TileMapper
-from mapweave.live.topics import Topics
 from mapweave.live.transport import Network, session
 from mapweave.live.weaving import Weaving
 

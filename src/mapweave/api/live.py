@@ -29,12 +29,11 @@ from ..live.inbox import Inbox
 from ..live.isolation import without_culprits
 from ..live.landmark_robot import LandmarkRobot
 from ..live.map_process import MapProcess
-from ..live.messages import Header, check_name
+from ..live.messages import Header, Topics, check_name
 from ..live.robot import Listeners, Pace, RobotProcess
 from ..live.sources import BagFeed, messages, open_recording, open_source
 from ..live.store import Store, begun
 from ..live.told import follow
-from ..live.topics import Topics
 from ..live.transport import LISTENING, Network, is_open, session, told_on
 from ..live.view import Board, served
 from ..mapping.config import LaserConfig
@@ -42,12 +41,11 @@ from ..report.result import ResultBase
 from ..report.small_pages import draw_messages, write_small_page
 from ..report.style import Target
 from .laser_result import LaserResult, starts_among
-from .live_mixed import join_apart
 from .live_ros2 import RosOptions, drive_ros2
 from .map_landmarks import LandmarkMapConfig, map_landmark_logs
 from .map_laser import LaserMapConfig
 from .map_laser import map_logs as map_lasers
-from .map_mixed import MixedMapConfig, MixedResult, map_mixed_logs
+from .map_mixed import MixedMapConfig, MixedResult, join_apart, map_mixed_logs
 from .map_options import MapOptions
 from .team import TeamResult
 

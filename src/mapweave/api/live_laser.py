@@ -23,12 +23,11 @@ from ..live.columns import square
 from ..live.credentials import expect_heard
 from ..live.driven import LaserRobot
 from ..live.laser_feed import ScanFeed, log_robot
-from ..live.messages import Header, check_name
+from ..live.messages import Header, Topics, check_name
 from ..live.robot import Driving, Pace, RobotProcess
 from ..live.store import Store, begun
 from ..live.tiles import LEVELS
 from ..live.told import LiveTeam, hear_team
-from ..live.topics import Topics
 from ..live.transport import LISTENING, Network, session
 from .map_laser import LaserMapConfig
 

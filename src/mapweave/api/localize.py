@@ -28,8 +28,7 @@ from ..io.tum import read_tum, write_tum
 from ..laser.beam import IntensityCalibration
 from ..laser.config import GEOMETRY, Feature
 from ..laser.laser_map import GridMap
-from ..laser.localise import Localisation, MapFollower, localise
-from ..laser.localise_filter import LocaliseConfig
+from ..laser.localise import Localisation, LocaliseConfig, MapFollower, localise
 from ..laser.localise_trust import Evidence
 from ..laser.scan_odometry import PoseEstimate
 from ..mapping.config import LaserConfig

@@ -21,8 +21,7 @@ import numba
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, UserWideCacheLocator
 from numba.core.types.misc import unliteral
 
-from .compiling import nothing_collected, tell_compiled, tell_compiling
-from .own_folder import is_forgotten, own_folder
+from .compiling import is_forgotten, nothing_collected, own_folder, tell_compiled, tell_compiling
 
 log = logging.getLogger(__name__)
 

@@ -30,12 +30,11 @@ from .landmark_robot import mapped_again
 from .landmark_stream import LandmarkRecord, rows_told
 from .laser_team import Starts, WovenTeam, nobody
 from .laser_weaver import LaserWeaver
-from .messages import LARGEST, MapState, Numbers, RefusedError, RobotState, Snapshot, Tile, count, encode
+from .messages import LARGEST, LEVEL, MapState, Numbers, RefusedError, RobotState, Snapshot, Tile, Topics, count, encode
 from .placed import Placed
 from .shared_map import Fused, SharedMap, judged
 from .store import Store
 from .told import MOST_MAPS
-from .topics import LEVEL, Topics
 from .transport import (
     MOST_ANSWERS,
     OWN,

@@ -16,7 +16,7 @@ from ..core.findings import Finding
 from ..core.records import frozen
 from ..core.rows import spread
 from ..kernels.laser.place_refine import fit_normals
-from ..kernels.mapping.views import Looks, judge_walls
+from ..kernels.walls.sight import Looks, judge_walls
 from ..laser.robot_graph import RobotGraph
 from ..laser.submaps import gathered
 from .submaps import PlaceSubmap, extent, make_submap, middles, way_of

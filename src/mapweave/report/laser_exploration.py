@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from ..core.walls import Walls
 from ..exploration.laser.config import WALL_TOLERANCE
 from ..exploration.laser.experiment import LaserExploreResult, LaserRunRecord, MapSnapshot, refusals
-from ..laser.occupancy import Occupancy
+from ..laser.occupancy_mapper import Occupancy
 from .exploration import laser_exploration_scene, save_gif, seeds_told
 from .html import Page
 from .style import (

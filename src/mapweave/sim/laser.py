@@ -15,7 +15,7 @@ from ..core.laser_log import LaserLog
 from ..core.records import Scan, Track, frozen
 from ..core.se2 import representable_heading
 from ..core.walls import Walls
-from ..kernels.walls.raycast import cast
+from ..kernels.walls.segments import cast
 
 DOOR_PAINT = (0.2, 0.45)  # reflectance of doors, between which each has its own
 SCALE_LENGTH = 15.0  # [m] over which the scale error is correlated
