@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
+from angulation import read_angulation
 from PIL import Image
 
 from mapweave.core import se2
 from mapweave.core.findings import Finding
 from mapweave.core.names import robot_name
 from mapweave.core.records import Track
-from mapweave.io.angulation import read_angulation
 from mapweave.io.g2o import read_g2o, write_g2o
 from mapweave.io.landmark_logs import is_landmark_log, read_landmark_logs
 from mapweave.io.landmark_truth import read_relations, read_robot_truth, read_survey
