@@ -6,7 +6,7 @@ import time
 import webbrowser
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -178,36 +178,38 @@ def live_robot(
     if network.tls is not None:
         expect_heard(network.tls, name, network.team, "robot")
     path = Path("mapweave-live", f"{network.team}-{name}.sqlite") if history is None else Path(history)
-    stop = stop or Event()
-    if str(source) == ROS2:
-        with Store(path, f"robot {name} of team {network.team}") as store:
-            if fresh:
-                store.clear()
-            run = begun(store, "laser", period)
-            sent, ears = drive_ros2(name, options, store, run, period, linger, config, network, stop, say, wall)
-            return _ended(name, sent, ears, store)
-    if follow:
-        if ros is not None or rate != 1.0:
-            raise UsageError("--follow: a recording that is still written has neither --rate nor options of ROS graphs")
-        return _following(name, Path(source), robot, period, path, fresh, linger, config, network, stop, say, wall)
-    if ros is not None:
+    stop, ros2 = stop or Event(), str(source) == ROS2
+    if follow and (ros is not None or rate != 1.0):
+        raise UsageError("--follow: a recording that is still written has neither --rate nor options of ROS graphs")
+    if ros is not None and not ros2:
         words = "--domain, --pattern, --graph, --sensor-pose, --all-scanners, --team-map, --goals"
         raise UsageError(f"{words}: of --source {ROS2} alone")
-    log = open_source(str(source), name, robot, seed)
-    with Store(path, f"robot {name} of team {network.team}") as store:
+    log = None if ros2 or follow else open_source(str(source), name, robot, seed)
+    with Store(path, f"robot {name} of team {network.team}") as store, ExitStack() as opened:
         if fresh:
             store.clear()
-        run = begun(store, "laser" if isinstance(log, LaserLog) else "landmarks", period)
-        header = next(messages(log, name, run, period))[1]
-        assert isinstance(header, Header)  # noqa: S101  (the first of every log)
-        driving = _driving(header, config)
-        with session(network, lambda at: say(f"{name}: {LISTENING}{at}")) as opened:
-            process = RobotProcess(name, opened, Topics(network.team), store, say, wall)
-            process.join()
-            say(f"{name}: {log.robot} of {source}, team {network.team}, history in {path}")
+        run = begun(store, "landmarks" if isinstance(log, LandmarkLog) else "laser", period)
+        if ros2:
+            sent, ears = drive_ros2(name, options, store, run, period, linger, config, network, stop, say, wall)
+            return _ended(name, sent, ears, store)
+        if log is not None:
+            header = next(messages(log, name, run, period))[1]
+            assert isinstance(header, Header)  # noqa: S101  (the first of every log)
+            driving = _driving(header, config)
+        team = opened.enter_context(session(network, lambda at: say(f"{name}: {LISTENING}{at}")))
+        process = RobotProcess(name, team, Topics(network.team), store, say, wall)
+        process.join()
+        told = f"follows {source}" if log is None else f"{log.robot} of {source}"
+        say(f"{name}: {told}, team {network.team}, history in {path}")
+        if log is None:
+            opener = partial(open_recording, name=name, robot=robot)
+            feed = BagFeed(Path(source), opener, name, run, period, stop, say)
+            begin = partial(_driving, settings=config)
+            sent = process.follow(feed, begin, Pace(linger=linger), feed.ended, lambda _: None)
+        else:
             expected = bool(network.connect or network.listen)
             sent = process.run(messages(log, name, run, period), driving, Pace(rate, linger, expected), stop)
-            return _ended(name, sent, process.listeners, store)
+        return _ended(name, sent, process.listeners, store)
 
 
 def _ended(name: str, sent: int, listeners: Listeners, store: Store) -> LiveRobot:
@@ -222,36 +224,6 @@ def _check_pace(rate: float, period: float, linger: float) -> None:
         raise UsageError(f"--period: expected seconds above 0, found {period}")
     if not linger >= 0:
         raise UsageError(f"--linger: expected seconds, found {linger}")
-
-
-def _following(
-    name: str,
-    source: Path,
-    robot: str | None,
-    period: float,
-    history: Path,
-    fresh: bool,  # noqa: FBT001
-    linger: float,
-    config: AnyConfig | None,
-    network: Network,
-    stop: Event,
-    say: Say,
-    wall: Callable[[], float],
-) -> LiveRobot:
-    """A robot driven by a recording that grows."""
-    with Store(history, f"robot {name} of team {network.team}") as store:
-        if fresh:
-            store.clear()
-        run = begun(store, "laser", period)
-        with session(network, lambda at: say(f"{name}: {LISTENING}{at}")) as opened:
-            process = RobotProcess(name, opened, Topics(network.team), store, say, wall)
-            process.join()
-            say(f"{name}: follows {source}, team {network.team}, history in {history}")
-            feed = BagFeed(source, partial(open_recording, name=name, robot=robot), name, run, period, stop, say)
-            sent = process.follow(
-                feed, partial(_driving, settings=config), Pace(linger=linger), feed.ended, lambda _: None
-            )
-            return _ended(name, sent, process.listeners, store)
 
 
 def _driving(header: Header, settings: AnyConfig | None) -> LandmarkRobot | LaserRobot:
