@@ -159,10 +159,6 @@ def live_robot(
     network
         How to reach the others (those on this network find each other); a ROS graph's router among them, which stands
         at tcp/localhost:7447 unless `connect` names another.
-    stop
-        Ends the run as soon as it is set.
-    say
-        Called with a line where something happens.
     wall
         The robot's clock [s].
     """
@@ -283,14 +279,10 @@ def live_map(
         Settings, as for `map`.
     seed
         As for `map` (0).
-    force
-        Write into `out` even when something other than a result stands there.
     network
         How to reach the others (those on this network find each other).
     stop
         Ends the hearing as soon as it is set.
-    say
-        Called with a line where something happens.
     wall
         This process's clock [s].
     at_the_door
@@ -481,10 +473,6 @@ def live_robots(
         Of which ROS graph; its `pattern` is not read.
     network
         How to reach the others, as for `live_robot`; the graph's router is another process.
-    stop
-        Ends the run as soon as it is set.
-    say
-        Called with a line where something happens.
     """
     network, ros = network or Network(), ros or RosOptions()
     twice = [name for k, name in enumerate(names) if name in names[:k]]

@@ -281,8 +281,6 @@ def localize(
     map
         What `map` wrote for one robot, or its result; or the `map.yaml` of a map as ROS navigation's map server reads
         it, this program's own or another's: walls alone, in the frame that its `origin` tells.
-    out
-        The folder to write; an earlier result there is replaced whole.
     odometry
         Beside scans in memory: columns t [s], x [m], y [m], theta [rad] (none).
     start
@@ -295,12 +293,6 @@ def localize(
         a configuration class; options here win.
     laser
         Options of laser logs.
-    seed
-        Of everything drawn at random (0).
-    force
-        Write into `out` even when something other than a result stands there (False).
-    on_progress
-        Called as `on_progress(stage, done, total)`.
 
     Raises
     ------

@@ -123,8 +123,6 @@ def locate(
         A table in memory or its file (CSV, Parquet): observer, target and bearing [rad]; in space azimuth, elevation
         [rad] or bx, by, bz; optional sigma [rad] and t [s]. Or the folder or zip of a landmark log whose robots saw
         each other.
-    out
-        The folder to write; an earlier result there is replaced whole.
     anchors
         Id -> known position [m].
     dim
@@ -158,10 +156,6 @@ def locate(
         Of moving robots what was known at each instant, not what all sightings say of it (False).
     seed
         Kept in the metrics; the result does not depend on it (0).
-    force
-        Write into `out` even when something other than a result stands there (False).
-    on_progress
-        Called as `on_progress(stage, done, total)`.
 
     Raises
     ------

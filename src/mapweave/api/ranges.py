@@ -199,10 +199,6 @@ def solve_ranges(file: Path | str, out: Path | str | None = None, *, force: bool
     file
         A planar graph in the text format of PyFactorGraph (.pyfg, plain or packed): VERTEX_SE2, VERTEX_XY, EDGE_SE2,
         EDGE_RANGE and priors.
-    out
-        The folder to write; an earlier result there is replaced whole.
-    force
-        Write into `out` even when something other than a result stands there (False).
 
     Raises
     ------

@@ -131,12 +131,8 @@ def solve_pose_graph(
         the columns `from`, `to` (whole numbers), x [m], y [m], theta [rad] of the pose of `to` in the frame of `from`
         and `information` (m, 3, 3) over these [1/m^2, 1/rad^2], beside `poses` to start from, a table with the columns
         id, x, y, theta or rows of x, y, theta numbered from 0 (found by walking along the edges).
-    out
-        The folder to write; an earlier result there is replaced whole.
     robust
         Reject edges that contradict the others, those from a vertex to the next excepted (False).
-    force
-        Write into `out` even when something other than a result stands there (False).
 
     Raises
     ------
