@@ -230,6 +230,10 @@ class TextLog:
                 raise ReaderError(self.path, problem, number)
             yield number, line
 
+    def rows(self) -> list[tuple[int, list[str]]]:
+        """Line numbers and words of the lines that are not blank."""
+        return [(number, words) for number, line in self.lines() if (words := line.split())]
+
     def head(self, n: int = 60, passed: Collection[str] = ()) -> list[list[str]]:
         """The words of the first `n` lines that are not blank, no comments, and begin with none of `passed`."""
         words = (line.split() for line in self.text[:LOOKED_AT].splitlines())
