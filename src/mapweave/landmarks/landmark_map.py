@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from ..core import se2
 from ..core.findings import Finding
 from ..core.landmark_log import SightingTable
-from ..core.records import Track, frozen
+from ..core.records import Track, freeze
 
 EVERY = 1.0  # [s] from one look to the next, at least: sooner, it sees what it saw before
 LOOKS = 2000  # at most, spread over the log: bounds the time
@@ -90,8 +90,7 @@ class LandmarkMap:
     frame: str = "map"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "mean", frozen(self.mean))
-        object.__setattr__(self, "cov", frozen(self.cov))
+        freeze(self, "mean", "cov")
         if self.cov.shape != (2 * len(self.ids), 2 * len(self.ids)) or len(set(self.ids)) != len(self.ids):
             msg = f"{len(self.ids)} ids (distinct), covariance {self.cov.shape}: they do not belong together"
             raise ValueError(msg)
@@ -124,8 +123,7 @@ class Submap:
     frame: str
 
     def __post_init__(self) -> None:
-        for name in ("pose", "mean", "cov"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze(self, "pose", "mean", "cov")
         size = 3 + 2 * len(self.ids)
         if self.cov.shape != (size, size) or self.mean.shape != (len(self.ids), 2):
             msg = f"{len(self.ids)} ids do not belong to mean {self.mean.shape} and covariance {self.cov.shape}"
@@ -147,8 +145,7 @@ class RobotSightings:
     bearing: Float[np.ndarray, " n"]
 
     def __post_init__(self) -> None:
-        for name in ("t", "range", "bearing"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze(self, "t", "range", "bearing")
 
 
 NO_ROBOT_SIGHTINGS = RobotSightings(np.zeros(0), (), np.zeros(0), np.zeros(0))
@@ -202,8 +199,7 @@ class GlobalMap:
     apart: frozenset[tuple[str, str]] = frozenset()
 
     def __post_init__(self) -> None:
-        for name in ("frames", "mean", "cov"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze(self, "frames", "mean", "cov")
         size = 3 * len(self.robots) + 2 * len(self.ids)
         if self.cov.shape != (size, size):
             msg = (

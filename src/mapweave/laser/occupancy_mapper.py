@@ -14,7 +14,7 @@ from scipy import ndimage
 from ..core import se2
 from ..core.config import config
 from ..core.errors import DataError
-from ..core.records import frozen
+from ..core.records import freeze
 from ..kernels.laser.scan_laying import UNIT, WEIGHT, CellCounts, lay_scan
 from .beam import Beams, insertion_weight
 from .laser_map import GridMap
@@ -35,8 +35,8 @@ class Occupancy:
     state: Int[np.ndarray, "rows cols"]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "origin", frozen(self.origin))
-        object.__setattr__(self, "state", frozen(self.state, np.int8))
+        freeze(self, "origin")
+        freeze(self, "state", dtype=np.int8)
 
     @property
     def free(self) -> Bool[np.ndarray, "rows cols"]:
