@@ -91,8 +91,8 @@ class LaserStream:
     those before did not, or lacks what they had.
     """
 
-    def __init__(self, robot: str = "1", source: str = "scans as they came") -> None:
-        self.robot, self.source = robot, source
+    def __init__(self, robot: str = "1") -> None:
+        self.robot, self.source = robot, "scans as they came"
         self._raw: list[RawScan] = []  # of those forgotten: one for all that were alike but for stamp and odometry
         self._t, self._odometry = RowBuffer(), RowBuffer(3)
         self._alike: dict[tuple[float, float, float, bytes], RawScan] = {}

@@ -79,8 +79,8 @@ class RosView:
         self._shown: float | None = None
         self._drawn = -1
 
-    def show(self, driving: LaserRobot, *, last: bool = False) -> None:
-        """Pose, transform and map, each when it is due; last: the map at once, when scans came since."""
+    def show(self, driving: LaserRobot) -> None:
+        """Pose, transform and map, each when it is due."""
         if driving.t is None or self._feed.robot is None or self._feed.member is None:
             return
         if self._map is None:
@@ -92,7 +92,7 @@ class RosView:
         if now >= self._next_tf:
             self._next_tf = now + TF_EVERY
             self._tell_transform(driving)
-        if (last or now >= self._next_map) and driving.record.scans != self._drawn:
+        if now >= self._next_map and driving.record.scans != self._drawn:
             self._drawn = driving.record.scans
             self._tell_map(driving)
             took = time.monotonic() - now
