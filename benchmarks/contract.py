@@ -15,7 +15,7 @@ from pathlib import Path
 TOP = Path(__file__).resolve().parent.parent
 ESTIMATORS = ("solve", "landmarks", "laser", "swarm", "ranges", "fusion", "mapping", "team")
 HOMES = {  # a library, and where alone it may be imported
-    "numba": ("kernels._jit", "kernels._cache"),
+    "numba": ("kernels._jit",),
     "zenoh": ("live.transport",),
     "matplotlib": ("report.style",),
     "rerun": ("viewer",),

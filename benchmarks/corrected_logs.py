@@ -29,7 +29,7 @@ import mapweave
 from mapweave.core import se2
 from mapweave.mapping.map_overlap import KeyframeMap, keyframe_map
 from mapweave.mapping.merge import merge_maps
-from mapweave.mapping.merge_trust import Grounds
+from mapweave.mapping.merge_ambiguity import Grounds
 from mapweave.mapping.segments import pieces_of
 
 BEAT = 0.1  # [s] between two rows: the stamps of such logs are rounded, and go back

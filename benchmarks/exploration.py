@@ -28,7 +28,7 @@ from mapweave.exploration.landmarks.experiment import (
 )
 from mapweave.exploration.landmarks.team import Team
 from mapweave.fusion.handover import hand_over
-from mapweave.kernels.landmarks import ekf, ekf_apply_drive, ekf_state
+from mapweave.kernels.landmarks import ekf, ekf_drive, ekf_state
 from mapweave.kernels.landmarks.submap import sight_jacobian
 from mapweave.landmarks.config import EkfSlamConfig, noise
 from mapweave.landmarks.landmark_map import GlobalMap, Submap
@@ -376,7 +376,7 @@ def compiled(P: np.ndarray, marks: np.ndarray, script: list, u: np.ndarray, cfg:
         Phi[:, :3] = np.eye(3)
         Phi[:2, 2] = u[0] * cfg.period * np.array([-np.sin(x[2]), np.cos(x[2])])
         x[:3] = move(x[:3], u, cfg.period)
-        ekf_apply_drive.apply_drive(F, len(x), Phi, cfg.Q.copy())
+        ekf_drive.apply_drive(F, len(x), Phi, cfg.Q.copy())
         ranges, bearings = z.T.copy()
         fit = ekf_state.UpdateOutcomes(np.empty(len(rows)), np.empty(len(rows)))
         ekf.frame(x, F, ekf_state.CameraFrame(rows, ranges, bearings), known, places, fit)

@@ -9,26 +9,24 @@ from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
+from angulation import read_angulation
 from PIL import Image
 
 from mapweave.core import se2
 from mapweave.core.findings import Finding
 from mapweave.core.names import robot_name
 from mapweave.core.records import Track
-from mapweave.io.angulation import read_angulation
 from mapweave.io.g2o import read_g2o, write_g2o
 from mapweave.io.landmark_logs import is_landmark_log, read_landmark_logs
-from mapweave.io.landmark_truth import read_robot_truth, read_survey
+from mapweave.io.landmark_truth import read_relations, read_robot_truth, read_survey
 from mapweave.io.laser_logs import LaserSource, is_laser_log, read_laser, robots_of
 from mapweave.io.laser_map import read_grid, write_grid
 from mapweave.io.laser_state import read_laser_states
 from mapweave.io.local_map import read_local_map, write_local_map
 from mapweave.io.positions import read_network, read_positions, read_track, write_network, write_positions, write_track
-from mapweave.io.relations import read_relations
 from mapweave.io.robot_graph import read_robot_graph, write_robot_graph
 from mapweave.io.ros_map import read_plan, read_ros_map
-from mapweave.io.sightings import read_sightings, read_swarm_odometry, read_swarm_truth
-from mapweave.io.team_bearings import read_team_bearings
+from mapweave.io.sightings import read_sightings, read_swarm_odometry, read_swarm_truth, read_team_bearings
 from mapweave.io.team_map import read_metrics, read_single_maps, read_team_maps, write_landmarks, write_tracks
 from mapweave.io.tum import read_tum, write_tum
 from mapweave.landmarks.landmark_map import LandmarkMap, LocalMap, RobotSightings, Submap

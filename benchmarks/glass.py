@@ -20,9 +20,9 @@ from mapweave.core import se2
 from mapweave.core.findings import verdict
 from mapweave.core.records import frozen
 from mapweave.exploration.laser.config import OCCUPIED_SHARE
-from mapweave.kernels.walls.raycast import cast
+from mapweave.kernels.walls.segments import cast
 from mapweave.laser.laser_map import LaserMap
-from mapweave.laser.occupancy import of_grid
+from mapweave.laser.occupancy_mapper import of_grid
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import map_laser
 from mapweave.sim.laser import DriftConfig, DriveConfig, LaserSimulation, Scanner, drive

@@ -19,8 +19,7 @@ from mapweave.core import se2
 from mapweave.core.landmark_log import SightingTable
 from mapweave.core.records import Track
 from mapweave.fusion.identities import Mapped, match_maps
-from mapweave.landmarks.landmark_map import LandmarkMap
-from mapweave.landmarks.view import View, view_of
+from mapweave.landmarks.landmark_map import LandmarkMap, View, view_of
 from mapweave.papers.kojima.measured import POINTS, RIGHT, SIGMA, draw_pair
 
 CAMERA = View(reach=1.0, right=-0.6, left=0.6, rate=0.7)  # of looks a second apart

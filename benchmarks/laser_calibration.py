@@ -25,8 +25,8 @@ from mapweave.core.errors import MapweaveError
 from mapweave.core.laser_log import LaserLog
 from mapweave.core.records import Track
 from mapweave.evaluation.trajectory import score_relations
+from mapweave.io.landmark_truth import read_relations
 from mapweave.io.laser_logs import read_laser
-from mapweave.io.relations import read_relations
 from mapweave.laser.laser_map import LaserMap
 from mapweave.laser.odometry_calibration import PARAMETERS
 from mapweave.mapping.config import LaserConfig

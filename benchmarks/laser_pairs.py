@@ -12,7 +12,7 @@ from mapweave.core import se2
 from mapweave.core.config import config
 from mapweave.core.errors import DataError
 from mapweave.core.walls import Walls
-from mapweave.kernels.walls.raycast import cast
+from mapweave.kernels.walls.segments import cast
 from mapweave.mapping.map_overlap import KeyframeMap
 
 CELL = 0.3  # [m] of the raster robots walk on

@@ -10,8 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from mapweave.evaluation.trajectory import exact_pairs, score_relations
+from mapweave.io.landmark_truth import read_relations
 from mapweave.io.laser_logs import read_laser
-from mapweave.io.relations import read_relations
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import map_laser
 

@@ -25,7 +25,7 @@ from mapweave.core import se2
 from mapweave.core.records import Track
 from mapweave.core.truth import Relations
 from mapweave.evaluation.trajectory import score_relations
-from mapweave.io.relations import read_relations
+from mapweave.io.landmark_truth import read_relations
 
 NO_RETURN = 81.83  # [m]
 

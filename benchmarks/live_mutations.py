@@ -22,10 +22,10 @@ from mapweave.core.laser_log import LaserLog
 from mapweave.io.landmark_logs import read_landmark_logs
 from mapweave.landmarks.config import EkfSlamConfig
 from mapweave.live.door import decode
+from mapweave.live.driven import LaserRobot
 from mapweave.live.inbox import AGAIN, Inbox
 from mapweave.live.landmark_robot import LandmarkRobot
 from mapweave.live.landmark_stream import messages_of
-from mapweave.live.laser_robot import LaserRobot
 from mapweave.live.laser_stream import messages_of_laser
 from mapweave.live.messages import (
     Correction,

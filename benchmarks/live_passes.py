@@ -29,9 +29,8 @@ from mapweave.live import laser_weaver
 from mapweave.live.inbox import Inbox
 from mapweave.live.laser_weaver import LaserWeaver
 from mapweave.live.map_process import MapProcess
-from mapweave.live.messages import encode
+from mapweave.live.messages import Topics, encode
 from mapweave.live.store import Store
-from mapweave.live.topics import Topics
 from mapweave.live.transport import Network, session
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.merge_search import MergeConfig

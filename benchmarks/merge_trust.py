@@ -5,10 +5,10 @@
 
 Pairs are those of `merge_trials.py`, of its kinds; `--log` keeps every trial, and the same command goes on after those
 that are there, so that several may fill files of their own, with other seeds; `corrected_logs.py --pairs` fills one
-with pieces of real logs. `--fit` prints the weights fitted to them, for `mapping/merge_trust.py`, and what those say
-that are fitted without the building, or the tenth of the simulated pairs, that they are asked of; the table tells how
-the weights that stand there do: give it other trials than those they were fitted to. `--trials 0` tells of those in the
-logs alone.
+with pieces of real logs. `--fit` prints the weights fitted to them, for `mapping/merge_ambiguity.py`, and what those
+say that are fitted without the building, or the tenth of the simulated pairs, that they are asked of; the table tells
+how the weights that stand there do: give it other trials than those they were fitted to. `--trials 0` tells of those in
+the logs alone.
 """
 
 import argparse
@@ -23,7 +23,7 @@ import numpy as np
 from merge_trials import KINDS, judged, trial
 from scipy.optimize import minimize
 
-from mapweave.mapping.merge_trust import SIGNS, Grounds
+from mapweave.mapping.merge_ambiguity import SIGNS, Grounds
 
 BEGIN, END = "<!-- merge trust: begin -->", "<!-- merge trust: end -->"
 BANDS = (0.0, 0.01, 0.05, 0.2, 0.5, 0.8, 0.95, 0.99, 1.0)  # of the stated probability

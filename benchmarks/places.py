@@ -28,9 +28,9 @@ from mapweave.core.laser_log import LaserLog
 from mapweave.core.records import Track
 from mapweave.core.truth import Relations
 from mapweave.evaluation.trajectory import score_relations
+from mapweave.io.landmark_truth import read_relations
 from mapweave.io.laser_logs import read_laser
-from mapweave.io.relations import read_relations
-from mapweave.laser.occupancy import of_grid
+from mapweave.laser.occupancy_mapper import of_grid
 
 DATA = Path(os.environ.get("MAPWEAVE_DATA", "."))
 SPREAD = 0.4  # [m] between poses that are aligned by, at least

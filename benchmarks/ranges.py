@@ -30,8 +30,7 @@ from mapweave.io.range_bags import read_range_bag
 from mapweave.io.transforms import planar, rigid
 from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.ranges.estimate import PlacedPart, RangeEstimate, estimate
-from mapweave.ranges.log import network_of
-from mapweave.ranges.network import RangeNetwork
+from mapweave.ranges.network import RangeNetwork, network_of
 from mapweave.sim.mixed_team import MixedWorld, simulate_mixed
 
 SEEDS, MINUTES, BEACONS = range(16), 1.5, 4

@@ -12,13 +12,13 @@ import time
 from pathlib import Path
 
 import numpy as np
+from angulation import as_sightings, read_angulation
 
 import mapweave
 from mapweave.api.locate import LocateConfig
 from mapweave.core import se2
 from mapweave.evaluation.swarm import similarity
-from mapweave.io.angulation import as_sightings, read_angulation
-from mapweave.io.team_bearings import read_team_bearings, read_team_truth
+from mapweave.io.sightings import read_team_bearings, read_team_truth
 from mapweave.swarm.moving.poses import odometry_steps
 
 HEADING = 0.5 * np.pi  # true of all nine places

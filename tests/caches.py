@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from mapweave.kernels.own_folder import own_folder
+from mapweave.kernels.compiling import own_folder
 
 
 def own_cache(folder: Path) -> Path:

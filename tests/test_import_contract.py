@@ -26,7 +26,7 @@ def lint(tmp_path):
         (skeleton / room.relative_to(HOUSE) / "__init__.py").touch()
         (skeleton / room.relative_to(HOUSE) / "idea.py").touch()
     (skeleton / "idea.py").unlink()
-    for name in ("_jit", "_cache"):
+    for name in ("_jit",):
         (skeleton / "kernels" / f"{name}.py").write_text("import numba\n")
     shutil.copy(HOUSE / "__main__.py", skeleton)
     shutil.copy(TOP / "pyproject.toml", tmp_path)
@@ -154,8 +154,8 @@ CHECKED = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    "
         ("papers/idea.py", f"{CHECKED}from matplotlib.axes import Axes", DRAWN),
         ("report/idea.py", "import matplotlib", "report.idea: matplotlib is imported in report.style alone"),
         ("api/idea.py", "import_module('rerun')", "api.idea: rerun is imported in viewer alone"),
-        ("laser/idea.py", "import numba", "laser.idea: numba is imported in kernels._jit, kernels._cache alone"),
-        ("kernels/idea.py", "import numba", "kernels.idea: numba is imported in kernels._jit, kernels._cache alone"),
+        ("laser/idea.py", "import numba", "laser.idea: numba is imported in kernels._jit alone"),
+        ("kernels/idea.py", "import numba", "kernels.idea: numba is imported in kernels._jit alone"),
         ("swarm/idea.py", "from ..sim import idea", "swarm.idea: sim stands above"),
         ("team/idea.py", "from ..evaluation import idea", "team.idea: evaluation stands above"),
         ("solve/idea.py", "open(name)", "solve.idea: an estimator opens a file"),

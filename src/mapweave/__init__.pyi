@@ -21,7 +21,7 @@ from .api.laser_result import LaserResult as LaserResult
 from .api.slam import LaserSlam as LaserSlam
 from .api.live import live_map as live_map, live_robot as live_robot
 from .api.live_explore import live_explore as live_explore
-from .api.live_follow import live_follow as live_follow
+from .api.live_laser import live_follow as live_follow
 from .api.live import live_keys as live_keys
 from .api.live_laser import LiveLaser as LiveLaser, LivePlace as LivePlace
 from .api.live import LiveRobot as LiveRobot

@@ -52,7 +52,7 @@ def test_laser_logs_on_a_cluster_give_the_same_bytes(cluster, tmp_path):
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nowhere", "ftp://x:1"])
 def test_an_address_where_no_scheduler_answers_is_one_error(address, tmp_path, monkeypatch):
-    monkeypatch.setattr("mapweave.api.cluster.WAIT", 1.0)
+    monkeypatch.setattr("mapweave.api.map.WAIT", 1.0)
     mapweave.simulate_landmarks(tmp_path / "team", robots=2, landmarks=8, minutes=0.1, seed=4)
     code, _, err = run("map", tmp_path / "team", "--out", tmp_path / "out", "--cluster", address)
     assert code == 2

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 import mapweave
-from mapweave.api.growth import grown
+from mapweave.api.map_laser import grown
 from mapweave.core.errors import DataError, UsageError
 from mapweave.core.workers import no_progress
 

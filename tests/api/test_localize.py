@@ -104,8 +104,7 @@ def test_a_robot_somewhere_else_is_not_trusted(world, tmp_path):
 def test_a_place_that_does_not_explain_the_scans_is_given_up_and_sought_anew(world):
     from mapweave.io.laser_logs import read_laser
     from mapweave.io.laser_map import read_grid
-    from mapweave.laser.localise import localise
-    from mapweave.laser.localise_filter import LocaliseConfig
+    from mapweave.laser.localise import LocaliseConfig, localise
     from mapweave.mapping.config import LaserConfig
 
     grid, calibration, feature = read_grid(next((world / "map").glob("grid.npz")))

@@ -7,6 +7,7 @@ from cyclopts import App, CycloptsError
 
 from mapweave.cli import from_verb, make_app
 from mapweave.cli.commands import COMMANDS
+from mapweave.core.signatures import COMMON
 
 
 def commands(app, before=()):
@@ -76,7 +77,7 @@ def weigh(thing: Path | str | None, out: Path | str | None = None, *, times: int
     found = {o.name: o for o in app["weigh"].assemble_argument_collection(parse_docstring=True) if o.show}
     assert {name: (o.required, o.parameter.help) for name, o in found.items()} == {
         "THING": (True, "What is weighed."),
-        "--out": (True, ""),
+        "--out": (True, COMMON["out"]),
         "--times": (False, "How often, unless --often."),
         "--near": (False, "As mapweave config map has it [m]."),
         "--often": (False, ""),

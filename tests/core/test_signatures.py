@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
-from mapweave.core.signatures import ReadableSignature, readable, short_default, short_name
+from mapweave.core.signatures import COMMON, ReadableSignature, readable, short_default, short_name, with_common
 from mapweave.core.workers import Progress, no_progress
 
 
@@ -79,3 +79,29 @@ def test_what_a_readable_class_holds_is_readable_too():
     hints = {"parts": tuple[part, ...] | None, "path": Path}
     readable(type("Whole", (), {"__annotations__": hints, "__module__": "mapweave.somewhere"}))
     assert str(inspect.signature(weigh)) == "(self, path: Path) -> Path"
+
+
+def test_what_an_argument_means_for_every_verb_is_added_in_the_order_of_the_arguments_and_never_in_place_of_its_own():
+    own = """Done.
+
+    Parameters
+    ----------
+    out
+        Nowhere,
+        or here.
+    wide
+        How wide.
+
+    Raises
+    ------
+    UsageError
+        Never.
+    """
+    told = with_common(own, ("wide", "seed", "out", "force"))
+    names = [line for line in told.split("Raises")[0].splitlines()[4:] if line[:1].strip()]
+    assert names == ["wide", "seed", "out", "force"]
+    assert "Nowhere,\n    or here.\nforce\n" in told
+    assert COMMON["seed"] in told
+    assert COMMON["out"] not in told
+    assert told.endswith("UsageError\n    Never.")
+    assert with_common("Done.", ("out",)) == "Done."

@@ -11,7 +11,7 @@ from mapweave.core.errors import ReaderError
 from mapweave.core.records import Track
 from mapweave.core.truth import Relations
 from mapweave.evaluation.trajectory import exact_pairs, score_relations
-from mapweave.io.relations import read_relations
+from mapweave.io.landmark_truth import read_relations
 from mapweave.io.tum import write_tum
 
 KEYS = ["n", "used", "trans_mean", "trans_std", "trans_max", "rot_mean_deg", "rot_std_deg"]

@@ -9,7 +9,7 @@ from mapweave.exploration.laser.config import OCCUPIED_SHARE, LaserPlan
 from mapweave.exploration.laser.mission import LaserBelief
 from mapweave.exploration.planner_interface import find_planner
 from mapweave.kernels.laser.scan_laying import CellCounts, lay_scan
-from mapweave.laser.occupancy import FREE, OCCUPIED, Occupancy, from_counts
+from mapweave.laser.occupancy_mapper import FREE, OCCUPIED, Occupancy, from_counts
 from mapweave.sim.laser import LaserWorld
 from mapweave.sim.laser_team import LaserTeamSim
 

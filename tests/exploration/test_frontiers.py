@@ -6,7 +6,7 @@ import pytest
 from mapweave.exploration.laser import frontiers as laser_frontiers
 from mapweave.exploration.laser.config import LaserPlan
 from mapweave.exploration.laser.frontiers import FRONTIER_SPLIT, frontiers, mapped_ground, pockets
-from mapweave.laser.occupancy import FREE, OCCUPIED, UNKNOWN, Occupancy
+from mapweave.laser.occupancy_mapper import FREE, OCCUPIED, UNKNOWN, Occupancy
 
 CFG = LaserPlan()
 NOBODY = np.zeros((0, 2))

@@ -19,7 +19,7 @@ from mapweave.exploration.laser.planners import (
 )
 from mapweave.exploration.planner_interface import find_planner, planners
 from mapweave.kernels.exploration.wavefront import NO_LIMIT, UNREACHED, spread
-from mapweave.laser.occupancy import FREE, OCCUPIED, UNKNOWN, Occupancy
+from mapweave.laser.occupancy_mapper import FREE, OCCUPIED, UNKNOWN, Occupancy
 from mapweave.sim.laser_worlds import office_floor
 
 from .laser_truth import Team, room, world_of

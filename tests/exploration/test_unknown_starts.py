@@ -11,7 +11,7 @@ from mapweave.core.walls import Walls
 from mapweave.exploration.laser.config import LaserPlan, find_laser_scenario
 from mapweave.exploration.laser.experiment import LaserMission, explore_laser_once
 from mapweave.exploration.laser.planners import candidate_commands, steer
-from mapweave.kernels.exploration.arcs import arc_clearance
+from mapweave.kernels.exploration.wavefront import arc_clearance
 from mapweave.laser.keyframes import KeyframeScan
 from mapweave.mapping.laser_team import LaserTeam
 from mapweave.mapping.merge import merge_maps

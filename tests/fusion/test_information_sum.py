@@ -5,12 +5,11 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.core.errors import EstimateError
-from mapweave.fusion import information_sum
+from mapweave.fusion import online
 from mapweave.fusion.cluster import clusters
 from mapweave.fusion.full_covariance import join
-from mapweave.fusion.information_sum import InformationSum
 from mapweave.fusion.join import fuse
-from mapweave.fusion.online import OnlineFuser
+from mapweave.fusion.online import InformationSum, OnlineFuser
 from mapweave.landmarks.landmark_map import LandmarkMap
 
 from .test_online import versions
@@ -77,6 +76,6 @@ def test_between_two_judgements_only_the_sum_changes_and_it_stays_near_what_fusi
 
 def test_a_sum_that_comes_to_no_rest_is_an_error_and_no_map(monkeypatch):
     maps, _, _, _ = team(np.random.default_rng(11), robots=4)
-    monkeypatch.setattr(information_sum, "ROUNDS", 1)
+    monkeypatch.setattr(online, "ROUNDS", 1)
     with pytest.raises(EstimateError, match="come to no rest"):
         summed(maps, 0.3)

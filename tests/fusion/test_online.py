@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.fusion import information_sum
+from mapweave.fusion import online
 from mapweave.fusion.join import fuse
 from mapweave.fusion.online import OnlineFuser
 
@@ -216,7 +216,7 @@ def test_a_map_that_comes_to_contradict_the_others_is_out_of_theirs_before_all_a
 
 
 def test_maps_that_no_sum_holds_are_judged_all_the_same(five, monkeypatch):
-    monkeypatch.setattr(information_sum, "ROUNDS", 0)
+    monkeypatch.setattr(online, "ROUNDS", 0)
     fuser = OnlineFuser().update(*five)
     assert fuser.judged == 1
     np.testing.assert_array_equal(fuser.largest.map.mean, fuse(five).components[0].map.mean)

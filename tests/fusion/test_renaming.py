@@ -8,8 +8,7 @@ import pytest
 from mapweave.core import se2
 from mapweave.fusion.alignment import joint_fit, left_out
 from mapweave.fusion.config import FuseConfig
-from mapweave.fusion.join import fuse
-from mapweave.fusion.renaming import sure_links
+from mapweave.fusion.join import fuse, sure_links
 from mapweave.landmarks.landmark_map import LandmarkMap
 
 from .worlds import covariance, rmse, team, with_landmarks

@@ -6,7 +6,7 @@ import numpy as np
 
 from mapweave.core import se2
 from mapweave.core.records import Scan, Track, frozen
-from mapweave.kernels.walls.raycast import cast
+from mapweave.kernels.walls.segments import cast
 from mapweave.sim.laser import Scanner, WallStyle, WorldBuilder
 
 from .ros_logs import Recording

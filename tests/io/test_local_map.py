@@ -10,8 +10,7 @@ from mapweave.core.errors import ReaderError
 from mapweave.core.findings import Finding
 from mapweave.core.records import Track
 from mapweave.io.local_map import read_local_map, write_local_map
-from mapweave.landmarks.landmark_map import LocalMap, RobotSightings, Submap
-from mapweave.landmarks.view import View
+from mapweave.landmarks.landmark_map import LocalMap, RobotSightings, Submap, View
 
 
 def some_map(robot="robot2", *, cov=True) -> LocalMap:

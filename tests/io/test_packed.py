@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from mapweave.core.errors import ReaderError
-from mapweave.io.files import TextLog
+from mapweave.io.files import LARGEST_SMALL, TextLog, zstd
 from mapweave.io.laser_logs import read_laser
-from mapweave.io.packed import LARGEST_SMALL, zstd
 
 RNG = np.random.default_rng(0)
 TEXT = "".join(

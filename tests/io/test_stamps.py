@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapweave.io.assemble import RawLog, RawScan
-from mapweave.io.stamps import mended_stamps
+from mapweave.io.scan_checks import mended_stamps
 
 T = 100.0 + 0.2 * np.arange(200)
 NEW = np.ones(200, bool)

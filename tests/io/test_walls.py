@@ -16,10 +16,10 @@ from pathlib import Path
 import lz4.frame
 import numpy as np
 import pytest
+from angulation import read_angulation
 from PIL import Image
 
 from mapweave.core.errors import DataError, MapweaveError, ReaderError
-from mapweave.io.angulation import read_angulation
 from mapweave.io.directory import read_json
 from mapweave.io.landmark_logs import read_csv_landmarks, read_landmark_logs
 from mapweave.io.landmark_truth import read_survey

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mapweave.kernels.exploration.arcs import arc_clearance, arc_points
+from mapweave.kernels.exploration.wavefront import arc_clearance, arc_points
 
 pytestmark = pytest.mark.kernel
 

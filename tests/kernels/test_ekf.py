@@ -5,7 +5,7 @@ import pytest
 
 from mapweave.core.gaussian import joseph
 from mapweave.core.se2 import wrap_angle
-from mapweave.kernels.landmarks import ekf, ekf_apply_drive, ekf_drive, ekf_state
+from mapweave.kernels.landmarks import ekf, ekf_drive, ekf_state
 
 from ..differences import jacobian
 from . import robot_models as models
@@ -30,7 +30,7 @@ def random_state(seed, landmarks=3):
 
 def cleared():
     Phi, Q = np.zeros((3, 8)), np.zeros((3, 3))
-    ekf_apply_drive.clear(Phi, Q)
+    ekf_drive.clear(Phi, Q)
     return Phi, Q
 
 
@@ -104,8 +104,8 @@ def test_settling_equals_the_dense_prediction():
     wanted = F @ P @ F.T
     wanted[:3, :3] += Q
     packed = np.empty(6)
-    ekf_apply_drive.pose_covariance(P, Phi, Q, packed)
-    ekf_apply_drive.apply_drive(P, len(x), Phi, Q)
+    ekf_drive.pose_covariance(P, Phi, Q, packed)
+    ekf_drive.apply_drive(P, len(x), Phi, Q)
     assert np.allclose(P, wanted, atol=1e-14)
     assert np.allclose(packed, wanted[np.triu_indices(3)], atol=1e-14)
     assert np.array_equal(Phi, cleared()[0])
@@ -198,7 +198,7 @@ def test_coasting_forgets_speed_and_turn_rate_and_keeps_their_spread():
     P[:, 3:5] = P[3:5, :] = 0.0
     P[3, 3], P[4, 4] = 0.1**2, 0.5**2
     noise = PLAIN._replace(speed=0.1, speed_time=2.0, spin=0.5, spin_time=1.0)
-    ekf_apply_drive.coast(x, P, len(x), 3.0, noise)
+    ekf_drive.coast(x, P, len(x), 3.0, noise)
     assert np.allclose(x[3:5], [0.1 * np.exp(-1.5), 0.4 * np.exp(-3.0)])
     assert np.allclose([P[3, 3], P[4, 4]], [0.1**2, 0.5**2])
     assert np.linalg.eigvalsh(P)[0] > -1e-12
@@ -249,7 +249,7 @@ def test_a_replay_stands_at_every_stamp_of_commands_and_sightings_until_both_hav
         now, at_one = ekf_drive.drive(y, Phi, Q, now, until, given, at_one, PLAIN)
         here = stamp == until
         if here.any():
-            ekf_apply_drive.apply_drive(R, len(y), Phi, Q)
+            ekf_drive.apply_drive(R, len(y), Phi, Q)
             seen = ekf_state.CameraFrame(slots[here], z[here, 0].copy(), z[here, 1].copy())
             ekf.frame(y, R, seen, PLAIN, kept, ekf_state.UpdateOutcomes(np.zeros(here.sum()), np.zeros(here.sum())))
         np.testing.assert_allclose(pose[k, :2], y[:2], atol=1e-9)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.kernels.landmarks import ekf_apply_drive, ekf_drive, ekf_state
+from mapweave.kernels.landmarks import ekf_drive, ekf_state
 
 pytestmark = pytest.mark.kernel
 
@@ -22,7 +22,7 @@ def on_an_arc(Q, v, w, dt, *, known=True):
     """Noise after one arc that begins with `Q`; and the arc's shift and mean heading."""
     x = np.array([1.0, -2.0, HEADING, V_SCALE, TURN_SCALE, 0.1, 0.0, 1.0])
     Phi, unused = np.zeros((3, 8)), np.zeros((3, 3))
-    ekf_apply_drive.clear(Phi, unused)
+    ekf_drive.clear(Phi, unused)
     before, out = x.copy(), Q.copy()
     ekf_drive.arc(x, Phi, out, v, w, dt, NOISE, known)
     return out, (x - before)[:2], HEADING + 0.5 * TURN_SCALE * w * dt
@@ -62,7 +62,7 @@ def test_arcs_and_their_derivative_by_the_turn_scale_are_exact_however_slight_th
     w = h / (0.5 * TURN_SCALE * dt)
     x = np.array([0.0, 0.0, HEADING, V_SCALE, TURN_SCALE, 0.1, 0.0, 1.0])
     Phi, Q = np.zeros((3, 8)), np.zeros((3, 3))
-    ekf_apply_drive.clear(Phi, Q)
+    ekf_drive.clear(Phi, Q)
     ekf_drive.arc(x, Phi, Q, v, w, dt, NOISE, True)
     np.testing.assert_allclose(x[:2], arc_end(TURN_SCALE, v, w, dt), rtol=1e-13)
     by_scale = arc_end(TURN_SCALE + 1e-30j, v, w, dt).imag / 1e-30

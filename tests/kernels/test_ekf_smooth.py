@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import eigh
 
 from mapweave.core.se2 import wrap_angle
-from mapweave.kernels.landmarks import ekf, ekf_apply_drive, ekf_drive, ekf_smooth
+from mapweave.kernels.landmarks import ekf, ekf_drive, ekf_smooth
 from mapweave.kernels.landmarks.ekf_smooth import smooth
 from mapweave.kernels.landmarks.ekf_state import Commands, PoseRows, SightingRows
 
@@ -127,7 +127,7 @@ def test_coasting_the_chain_is_coasting_the_whole_state_and_its_derivative():
     y, F, Q = x.copy(), np.zeros((5, 5)), np.zeros((5, 5))
     ekf_smooth.coasted(y, 0.73, noise, F, Q)
     wanted, R = x.copy(), P.copy()
-    ekf_apply_drive.coast(wanted, R, len(x), 0.73, noise)
+    ekf_drive.coast(wanted, R, len(x), 0.73, noise)
     np.testing.assert_allclose(y, wanted, atol=1e-14)
     np.testing.assert_allclose(F @ P[:5, :5] @ F.T + Q, R[:5, :5], atol=1e-12)
     for k in range(5):

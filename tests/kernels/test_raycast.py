@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mapweave.core.walls import WallIndex
-from mapweave.kernels.walls.raycast import cast
+from mapweave.kernels.walls.segments import cast
 
 
 def dense(pose, angle, segments, discs):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.kernels.landmarks.relation import relation_normal
+from mapweave.kernels.landmarks.submap import relation_normal
 from mapweave.team.config import PlacingConfig
 from mapweave.team.relation import MutualSightings, costs, residuals
 

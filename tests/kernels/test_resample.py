@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mapweave.kernels.laser.resample import systematic
+from mapweave.kernels.laser.refine import systematic
 
 pytestmark = pytest.mark.kernel
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from mapweave.kernels.laser.refine import ScanCost, refine
-from mapweave.kernels.laser.resample import systematic
+from mapweave.kernels.laser.refine import ScanCost, refine, systematic
 from mapweave.kernels.laser.windows import NearestRule
 from mapweave.laser.particle_grid import CELL_CAP, MOST_WEIGHT, CellConfig, ParticleGrid
 

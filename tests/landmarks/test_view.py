@@ -6,7 +6,7 @@ import pytest
 from mapweave.core import se2
 from mapweave.core.landmark_log import NOTHING_SEEN, SightingTable
 from mapweave.core.records import Track
-from mapweave.landmarks.view import EVERY, LOOKS, SUREST, View, view_of
+from mapweave.landmarks.landmark_map import EVERY, LOOKS, SUREST, View, view_of
 
 AHEAD = View(reach=2.0, right=-0.5, left=0.5, rate=0.5)
 

@@ -11,9 +11,9 @@ from mapweave.core.records import frozen
 from mapweave.exploration.laser.config import OCCUPIED_SHARE
 from mapweave.io.robot_graph import read_robot_graph, write_robot_graph
 from mapweave.kernels.laser.moving import flat_faces
-from mapweave.kernels.walls.raycast import cast
+from mapweave.kernels.walls.segments import cast
 from mapweave.laser.moving import THING, MovingConfig, MovingReturns
-from mapweave.laser.occupancy import of_grid
+from mapweave.laser.occupancy_mapper import of_grid
 from mapweave.sim.laser import DriftConfig, DriveConfig, Scanner
 from mapweave.sim.laser_worlds import GLASS_SHOWN, OfficeConfig, simulate_office
 

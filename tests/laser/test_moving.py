@@ -7,7 +7,7 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.core.records import Scan, Track, frozen
-from mapweave.kernels.walls.raycast import cast
+from mapweave.kernels.walls.segments import cast
 from mapweave.laser.log_warnings import wheels_disagree, wheels_stand
 from mapweave.laser.moving import MovingConfig, MovingReturns
 from mapweave.mapping.config import LaserConfig

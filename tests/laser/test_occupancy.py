@@ -4,8 +4,16 @@ import numpy as np
 import pytest
 
 from mapweave.core.errors import DataError
-from mapweave.laser.occupancy import FREE, OCCUPIED, UNKNOWN, Occupancy, from_counts, without_gaps
-from mapweave.laser.occupancy_mapper import OccupancyMapper, Returns
+from mapweave.laser.occupancy_mapper import (
+    FREE,
+    OCCUPIED,
+    UNKNOWN,
+    Occupancy,
+    OccupancyMapper,
+    Returns,
+    from_counts,
+    without_gaps,
+)
 
 
 def test_a_cell_is_occupied_when_enough_of_its_beams_ended_there():

@@ -8,8 +8,8 @@ import pytest
 from mapweave.core.records import Track
 from mapweave.core.truth import Relations
 from mapweave.evaluation.trajectory import exact_pairs, nearest, score_relations
+from mapweave.io.landmark_truth import read_relations
 from mapweave.io.laser_logs import read_laser
-from mapweave.io.relations import read_relations
 from mapweave.kernels.laser.refine import ScanCost, refine
 from mapweave.kernels.laser.windows import NearestRule
 from mapweave.laser.beam import beams

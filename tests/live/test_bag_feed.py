@@ -10,9 +10,8 @@ import pytest
 import mapweave
 from mapweave.core.errors import UsageError
 from mapweave.io.mcap import write_mcap
-from mapweave.live.bag_feed import BagFeed
 from mapweave.live.messages import Closed, Header, Scans
-from mapweave.live.sources import open_recording
+from mapweave.live.sources import BagFeed, open_recording
 from mapweave.live.transport import Network
 from mapweave.sim.laser_worlds import CorridorConfig, simulate_corridor
 

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from mapweave.live.inbox import Inbox
+from mapweave.live.laser_team import DRIVEN, compile_kernels
 from mapweave.live.map_process import BEHIND, MapProcess
+from mapweave.live.messages import Topics
 from mapweave.live.placed import Placed
 from mapweave.live.store import Store
-from mapweave.live.topics import Topics
 from mapweave.live.transport import Network, session
 from mapweave.live.view import PAGE
-from mapweave.live.warm import DRIVEN, compile_kernels
 
 from .teams import payloads, team
 

@@ -11,19 +11,18 @@ import numpy as np
 import pytest
 
 from mapweave.core.errors import EstimateError
-from mapweave.live import beside, laser_weaver, map_process, shared_map
+from mapweave.live import isolation, laser_weaver, map_process, shared_map
 from mapweave.live.driven import DrivenSession
 from mapweave.live.inbox import Inbox
 from mapweave.live.isolation import without_culprits
 from mapweave.live.laser_team import LiveLaserTeam
 from mapweave.live.laser_weaver import LaserWeaver
 from mapweave.live.map_process import MapProcess
-from mapweave.live.messages import Header, Snapshot, encode
+from mapweave.live.messages import Header, Snapshot, Topics, encode
 from mapweave.live.pair_search import PairTrial
 from mapweave.live.shared_map import Fusing, SharedMap
 from mapweave.live.store import Store
 from mapweave.live.tile_mapper import TileMapper
-from mapweave.live.topics import Topics
 from mapweave.live.transport import Network, session
 from mapweave.live.weaving import Weaving
 
@@ -238,7 +237,7 @@ WORDS = {
 def test_every_thread_that_dies_or_hangs_is_told_and_another_takes_its_place(tmp_path, monkeypatch, which, how):
     monkeypatch.setattr(map_process, "REST", 0.0)
     if how == "hangs":
-        monkeypatch.setattr(beside, "HUNG", HUNG)
+        monkeypatch.setattr(isolation, "HUNG", HUNG)
         monkeypatch.setattr(laser_weaver, "HUNG", HUNG)
     where, name, told = THREADS[which]
     told = told.format(WORDS.get((which, how)) or WORDS[how])

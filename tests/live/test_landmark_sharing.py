@@ -14,11 +14,10 @@ from mapweave.live.inbox import Inbox
 from mapweave.live.landmark_robot import LandmarkRobot
 from mapweave.live.landmark_stream import messages_of
 from mapweave.live.map_process import MapProcess
-from mapweave.live.messages import Rows, Snapshot, encode
+from mapweave.live.messages import Rows, Snapshot, Topics, encode
 from mapweave.live.robot import Pace, RobotProcess, pause_after
 from mapweave.live.shared_map import SharedMap
 from mapweave.live.store import Store
-from mapweave.live.topics import Topics
 from mapweave.live.transport import Network, session
 
 from .teams import messages, team

@@ -13,7 +13,7 @@ from mapweave.api.simulate import simulate_laser
 from mapweave.api.slam import LaserSlam
 from mapweave.core.errors import UsageError
 from mapweave.live.door import decode
-from mapweave.live.laser_robot import LaserRobot
+from mapweave.live.driven import LaserRobot
 from mapweave.live.laser_stream import LaserRecord, beams_of, messages_of_laser, scan_of, whole_log
 from mapweave.live.messages import LARGEST, RefusedError, Rows, Scans, encode
 from mapweave.live.sources import open_source

@@ -8,8 +8,7 @@ import pytest
 
 import mapweave
 from mapweave.api.live import _final
-from mapweave.api.live_mixed import join_apart
-from mapweave.api.map_mixed import MixedMapConfig
+from mapweave.api.map_mixed import MixedMapConfig, join_apart
 from mapweave.api.map_options import MapOptions
 from mapweave.core import se2
 from mapweave.core.errors import UsageError
@@ -19,12 +18,11 @@ from mapweave.live.inbox import Inbox
 from mapweave.live.joined import Joined, SightedAt, Tied, into_one_frame
 from mapweave.live.laser_team import WovenTeam
 from mapweave.live.map_process import MapProcess
-from mapweave.live.messages import encode
+from mapweave.live.messages import Topics, encode
 from mapweave.live.placed import ALONE, Placed
 from mapweave.live.shared_map import SharedMap
 from mapweave.live.sources import messages, open_source
 from mapweave.live.store import Store
-from mapweave.live.topics import Topics
 from mapweave.live.transport import Network, session
 
 from .processes import Fleet, same_result

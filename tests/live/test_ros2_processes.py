@@ -11,11 +11,10 @@ from mapweave.api.live_ros2 import RosOptions
 from mapweave.core import se2
 from mapweave.core.errors import UsageError
 from mapweave.live.door import decode
-from mapweave.live.laser_robot import LaserRobot
+from mapweave.live.driven import LaserRobot
 from mapweave.live.laser_stream import LaserRecord, whole_log
-from mapweave.live.messages import Closed, GoalMessage, encode
+from mapweave.live.messages import Closed, GoalMessage, Topics, encode
 from mapweave.live.store import Store
-from mapweave.live.topics import Topics
 from mapweave.live.transport import Network, put, told_on
 from mapweave.live.transport import session as transport_session
 from mapweave.mapping.config import LaserConfig

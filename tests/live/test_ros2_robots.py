@@ -12,7 +12,7 @@ from mapweave.laser.laser_map import GridMap
 from mapweave.live.door import decode
 from mapweave.live.laser_stream import LaserRecord, beams_of, messages_of_laser, scan_of, whole_log
 from mapweave.live.messages import RefusedError, Scans, encode
-from mapweave.live.ros2 import assembly, cdr
+from mapweave.live.ros2 import assembly, wire
 from mapweave.live.ros2.assembly import GAP, LEAP, PATIENCE, Assembly
 from mapweave.live.ros2.feed import Graph, chosen
 from mapweave.live.ros2.shown import grid_of, pose_of
@@ -34,21 +34,21 @@ RANGES = [1.0, 2.0, math.inf, math.nan, 0.01, 3.0]
 def graph(*published, type_hash=None):
     made = Graph()
     for k, (name, kind) in enumerate(published):
-        topic = Topic(name, kind, type_hash or cdr.type_hash(kind))
+        topic = Topic(name, kind, type_hash or wire.type_hash(kind))
         made.put(Entity(0, "ab", 0, k, "MP", "/", "n", topic).token())
     return made
 
 
 def test_topics_of_one_namespace_are_one_robot():
     robots = graph(
-        ("/tb1/scan", cdr.SCAN),
-        ("/tb1/odom", cdr.ODOMETRY),
-        ("/tb2/lidar/scan", cdr.SCAN),
-        ("/tb2/odometry/filtered", cdr.ODOMETRY),
-        ("/tb2/odom", cdr.ODOMETRY),
-        ("/tb2/tf", cdr.TF),
-        ("/tf", cdr.TF),
-        ("/tf_static", cdr.TF),
+        ("/tb1/scan", wire.SCAN),
+        ("/tb1/odom", wire.ODOMETRY),
+        ("/tb2/lidar/scan", wire.SCAN),
+        ("/tb2/odometry/filtered", wire.ODOMETRY),
+        ("/tb2/odom", wire.ODOMETRY),
+        ("/tb2/tf", wire.TF),
+        ("/tf", wire.TF),
+        ("/tf_static", wire.TF),
     ).robots()
     assert [(r.name, r.scan.name, r.odometry.name) for r in robots] == [
         ("tb1", "/tb1/scan", "/tb1/odom"),
@@ -56,38 +56,38 @@ def test_topics_of_one_namespace_are_one_robot():
     ]
     assert [t.name for t in robots[1].tf] == ["/tb2/tf", "/tf", "/tf_static"]
     assert robots[1].beside == ("/tb2/odometry/filtered",)
-    (robot,) = graph(("/tb1/rear/scan", cdr.SCAN), ("/tb1/scan", cdr.SCAN), ("/tb1/odom", cdr.ODOMETRY)).robots()
+    (robot,) = graph(("/tb1/rear/scan", wire.SCAN), ("/tb1/scan", wire.SCAN), ("/tb1/odom", wire.ODOMETRY)).robots()
     assert robot.scan.name == "/tb1/scan"
     assert [t.name for t in robot.scanners] == ["/tb1/rear/scan"]
     assert robot.beside == ()
 
 
 def test_a_robot_without_a_namespace_does_not_take_the_odometry_of_another():
-    one, two = graph(("/scan", cdr.SCAN), ("/tb1/scan", cdr.SCAN), ("/tb1/odom", cdr.ODOMETRY)).robots()
+    one, two = graph(("/scan", wire.SCAN), ("/tb1/scan", wire.SCAN), ("/tb1/odom", wire.ODOMETRY)).robots()
     assert (one.name, one.odometry) == ("", None)
     assert two.odometry.name == "/tb1/odom"
 
 
 def test_the_only_robot_takes_the_only_odometry_wherever_it_is():
-    (robot,) = graph(("/front/scan", cdr.SCAN), ("/odom", cdr.ODOMETRY)).robots()
+    (robot,) = graph(("/front/scan", wire.SCAN), ("/odom", wire.ODOMETRY)).robots()
     assert robot.odometry.name == "/odom"
 
 
 def test_another_type_hash_is_refused_and_told():
-    made = graph(("/scan", cdr.SCAN), type_hash="RIHS01_" + 64 * "0")
+    made = graph(("/scan", wire.SCAN), type_hash="RIHS01_" + 64 * "0")
     assert made.robots() == []
     assert "/scan is sensor_msgs/msg/LaserScan of another definition" in next(iter(made.refused.values()))
 
 
 def test_a_graph_without_hashes_is_read():
-    (robot,) = graph(("/scan", cdr.SCAN), type_hash=NO_HASH).robots()
+    (robot,) = graph(("/scan", wire.SCAN), type_hash=NO_HASH).robots()
     assert robot.scan.key(0).endswith("LaserScan_/TypeHashNotSupported")
 
 
 def test_what_comes_by_rmw_zenoh_too_is_not_heard_through_the_bridge():
-    kind = cdr.type_hash(cdr.SCAN)
+    kind = wire.type_hash(wire.SCAN)
     both = [
-        Topic(name, cdr.SCAN, kind, bridged=bridged) for name in ("/a/scan", "/b/scan") for bridged in (True, False)
+        Topic(name, wire.SCAN, kind, bridged=bridged) for name in ("/a/scan", "/b/scan") for bridged in (True, False)
     ]
     made = Graph()
     for k, topic in enumerate(both[:3]):
@@ -96,7 +96,7 @@ def test_what_comes_by_rmw_zenoh_too_is_not_heard_through_the_bridge():
 
 
 def test_tokens_that_go_take_their_robot_with_them():
-    made = graph(("/scan", cdr.SCAN))
+    made = graph(("/scan", wire.SCAN))
     made.drop(next(iter(made.entities)))
     made.put("@ros2_lv/nonsense")
     assert made.robots() == []
@@ -104,7 +104,7 @@ def test_tokens_that_go_take_their_robot_with_them():
 
 
 def test_a_pattern_a_name_or_being_alone_says_which_robot():
-    robots = graph(("/tb1/scan", cdr.SCAN), ("/tb2/scan", cdr.SCAN)).robots()
+    robots = graph(("/tb1/scan", wire.SCAN), ("/tb2/scan", wire.SCAN)).robots()
     assert chosen(robots, "r1", "tb2").name == "tb2"
     assert chosen(robots, "r1", "*1").name == "tb1"
     assert chosen(robots, "tb2", None).name == "tb2"
@@ -117,26 +117,26 @@ def test_a_pattern_a_name_or_being_alone_says_which_robot():
 
 def fed(made, *messages):
     for kind, payload in messages:
-        message = cdr.decode(payload, kind)
-        {cdr.SCAN: made.scan, cdr.ODOMETRY: made.odometry, cdr.TF: made.transforms}[kind](message)
+        message = wire.decode(payload, kind)
+        {wire.SCAN: made.scan, wire.ODOMETRY: made.odometry, wire.TF: made.transforms}[kind](message)
     return made
 
 
 def scan(t, frame="laser", ranges=RANGES, angle_min=-0.5, step=0.2, range_max=10.0, light=()):
-    return cdr.SCAN, ros_peer.scan(t, frame, ranges, angle_min, step, range_max, light)
+    return wire.SCAN, ros_peer.scan(t, frame, ranges, angle_min, step, range_max, light)
 
 
 def odometry(t, pose=(0.0, 0.0, 0.0)):
-    return cdr.ODOMETRY, ros_peer.odometry(t, "odom", "base", pose)
+    return wire.ODOMETRY, ros_peer.odometry(t, "odom", "base", pose)
 
 
 def mounted(pose=(0.2, 0.0, 0.3)):
-    return cdr.TF, ros_peer.transforms((1.0, "base", "laser", pose))
+    return wire.TF, ros_peer.transforms((1.0, "base", "laser", pose))
 
 
 def test_a_scan_gets_the_odometry_of_its_own_stamp_and_its_place_on_the_robot():
-    upper = cdr.TF, ros_peer.transforms((1.0, "base", "tower", (0.1, 0.0, math.pi / 2)))
-    lower = cdr.TF, ros_peer.transforms((1.0, "tower", "laser", (0.3, 0.0, 0.1)))
+    upper = wire.TF, ros_peer.transforms((1.0, "base", "tower", (0.1, 0.0, math.pi / 2)))
+    lower = wire.TF, ros_peer.transforms((1.0, "tower", "laser", (0.3, 0.0, 0.1)))
     made = fed(Assembly(), odometry(10.0), scan(10.25), upper, odometry(10.5, (1.0, 0.0, 0.2)))
     assert made.ready()[0] == []
     ((t, placed),), rows = fed(made, lower).ready()
@@ -177,7 +177,7 @@ def test_a_scanner_that_hangs_while_the_robot_drives_on_is_believed_no_longer():
 
 
 def test_the_time_that_a_scan_takes_reaches_the_log():
-    message = cdr.decode(ros_peer.scan(10.0, "laser", RANGES, -0.5, 0.2, 10.0, (), 0.01), cdr.SCAN)
+    message = wire.decode(ros_peer.scan(10.0, "laser", RANGES, -0.5, 0.2, 10.0, (), 0.01), wire.SCAN)
     made = Assembly()
     made.scan(message)
     assert made.sweep == pytest.approx(0.01 * (len(RANGES) - 1))
@@ -193,7 +193,7 @@ def heard(made, stated, begin=10.0, scanner=""):
     for k, sweep in enumerate(stated):
         every = sweep / (len(RANGES) - 1)
         message = ros_peer.scan(begin + k, "laser", RANGES, -0.5, 0.2, 10.0, (), every)
-        made.scan(cdr.decode(message, cdr.SCAN), scanner)
+        made.scan(wire.decode(message, wire.SCAN), scanner)
     return len(stated) - (sum(made.refused.values()) - before)
 
 
@@ -216,12 +216,12 @@ def test_a_robot_begun_again_with_another_scanner_does_not_go_on_with_its_histor
 
 
 def test_scans_of_two_scanners_come_in_the_order_of_their_stamps():
-    made = fed(Assembly(), mounted(), (cdr.TF, ros_peer.transforms((1.0, "base", "back", (-0.2, 0.0, math.pi)))))
+    made = fed(Assembly(), mounted(), (wire.TF, ros_peer.transforms((1.0, "base", "back", (-0.2, 0.0, math.pi)))))
     for t in (9.0, 10.0, 11.0, 12.0):
         fed(made, odometry(t))
 
     def hears(t, scanner):
-        made.scan(cdr.decode(scan(t, scanner)[1], cdr.SCAN), scanner)
+        made.scan(wire.decode(scan(t, scanner)[1], wire.SCAN), scanner)
 
     def told():
         return [(t, round(float(s.T_robot_sensor[0]), 3)) for t, s in made.ready()[0]]
@@ -242,14 +242,14 @@ def test_scans_of_two_scanners_come_in_the_order_of_their_stamps():
 
 def test_a_scanner_upside_down_sees_its_beams_the_other_way():
     hung = ros_peer.Writer().put("I", 1).head(1.0, "base").text("laser").put("d", 0, 0, 0, 1.0, 0.0, 0.0, 0.0)
-    ((_, placed),), _ = fed(Assembly(), (cdr.TF, hung.bytes()), odometry(9.0), odometry(10.0), scan(10.0)).ready()
+    ((_, placed),), _ = fed(Assembly(), (wire.TF, hung.bytes()), odometry(9.0), odometry(10.0), scan(10.0)).ready()
     assert (placed.angle_min, placed.angle_increment) == (0.5, pytest.approx(-0.2))
 
 
 def test_odometry_that_comes_as_a_transform_counts_from_its_first_row():
     made = fed(Assembly(), mounted())
     for t, x in ((5.0, 0.0), (5.5, 1.0)):
-        fed(made, (cdr.TF, ros_peer.transforms((t, "odom", "base", (x, 0.0, 0.0)))))
+        fed(made, (wire.TF, ros_peer.transforms((t, "odom", "base", (x, 0.0, 0.0)))))
     fed(made, scan(5.25))
     assert made.odometry_edge == ("odom", "base")
     made.take_tf()
@@ -351,8 +351,8 @@ def test_light_is_kept_when_the_first_scan_has_some_and_all_have_it():
         scan(0.0),
         odometry(5.0, (math.nan, 0.0, 0.0)),
         odometry(5.0, (1e300, 0.0, 0.0)),
-        (cdr.TF, ros_peer.transforms((1.0, "base", "", (0.0, 0.0, 0.0)))),
-        (cdr.TF, ros_peer.transforms((1.0, "base", "laser", (math.inf, 0.0, 0.0)))),
+        (wire.TF, ros_peer.transforms((1.0, "base", "", (0.0, 0.0, 0.0)))),
+        (wire.TF, ros_peer.transforms((1.0, "base", "laser", (math.inf, 0.0, 0.0)))),
     ],
 )
 def test_what_no_sensor_says_is_refused_and_changes_nothing(message):
@@ -404,7 +404,7 @@ def test_a_resumed_drive_uses_only_what_is_later():
 
 def test_mounts_compose_as_poses_do():
     made = fed(Assembly("none"), mounted((0.2, 0.1, 0.4)))
-    fed(made, (cdr.TF, ros_peer.transforms((1.0, "root", "base", (1.0, 2.0, -0.7)))), scan(3.0))
+    fed(made, (wire.TF, ros_peer.transforms((1.0, "root", "base", (1.0, 2.0, -0.7)))), scan(3.0))
     ((_, placed),), _ = made.ready()
     np.testing.assert_allclose(
         placed.T_robot_sensor, se2.compose(np.array([1.0, 2.0, -0.7]), np.array([0.2, 0.1, 0.4])), atol=1e-9
@@ -416,12 +416,12 @@ def test_a_grid_is_told_from_its_lowest_row_up_and_a_covariance_at_x_y_and_the_t
     passes = np.array([[0, 9, 0], [9, 0, 1]])
     nothing = np.zeros((2, 3))
     grid = GridMap(0.05, np.array([-1.0, 2.0]), hits, passes, np.zeros((2, 3, 2)), nothing, nothing)
-    told = ros_peer.read_grid(cdr.encode(grid_of(5_000_000_007, "map", grid), cdr.GRID))
+    told = ros_peer.read_grid(wire.encode(grid_of(5_000_000_007, "map", grid), wire.GRID))
     assert told[0] == "map"
     assert told[1] == pytest.approx(0.05)
     assert told[2:] == ((3, 2), (-1.0, 2.0), (100, 0, -1, 0, 100, -1))
     pose = pose_of(5_000_000_007, "map", np.array([1.0, 2.0, 0.5]), np.arange(1.0, 7.0))
-    t, frame, told, cov = ros_peer.read_pose(cdr.encode(pose, cdr.POSE))
+    t, frame, told, cov = ros_peer.read_pose(wire.encode(pose, wire.POSE))
     assert (t, frame) == (pytest.approx(5.000000007), "map")
     np.testing.assert_allclose(told, [1.0, 2.0, 0.5], atol=1e-12)
     whole = np.array(cov).reshape(6, 6)

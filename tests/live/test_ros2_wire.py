@@ -3,7 +3,7 @@
 import pytest
 
 from mapweave.live.messages import RefusedError
-from mapweave.live.ros2 import cdr
+from mapweave.live.ros2 import wire
 from mapweave.live.ros2.wire import NO_HASH, Attachment, Entity, Qos, Topic, mangled_type
 
 from . import ros_peer
@@ -118,9 +118,9 @@ def test_what_is_no_token_is_refused(token):
 
 
 def test_type_hashes_are_those_that_ros_2_prints():
-    assert {kind: cdr.type_hash(kind) for kind in ros_peer.HASHES} == ros_peer.HASHES
+    assert {kind: wire.type_hash(kind) for kind in ros_peer.HASHES} == ros_peer.HASHES
     text = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
-    assert cdr.type_hash("std_msgs/msg/String") == text
+    assert wire.type_hash("std_msgs/msg/String") == text
     assert mangled_type("std_msgs/msg/String") == "std_msgs::msg::dds_::String_"
 
 
@@ -134,7 +134,7 @@ def test_a_recorded_transform_is_read_to_the_number():
         "000000000000f03f 00000000000000c0 0000000000000000"
         "0000000000000000 0000000000000000 0000000000000000 000000000000f03f"
     )
-    (one,) = cdr.decode(recorded, cdr.TF).transforms
+    (one,) = wire.decode(recorded, wire.TF).transforms
     assert (one.header.frame_id, one.child_frame_id) == ("odom", "base")
     assert (one.header.stamp.sec, one.header.stamp.nanosec) == (1000, 1000000000)
     assert (one.transform.translation.x, one.transform.translation.y, one.transform.rotation.w) == (1.0, -2.0, 1.0)
@@ -144,8 +144,8 @@ def test_bytes_that_are_no_message_are_refused_at_every_length():
     whole = ros_peer.scan(5.0, "laser", [1.0, 2.0], 0.0, 0.1, 10.0)
     for n in range(len(whole)):
         with pytest.raises(RefusedError, match="malformed"):
-            cdr.decode(whole[:n], cdr.SCAN)
-    assert cdr.decode(whole, cdr.SCAN).ranges.tolist() == [1.0, 2.0]
+            wire.decode(whole[:n], wire.SCAN)
+    assert wire.decode(whole, wire.SCAN).ranges.tolist() == [1.0, 2.0]
 
 
 @pytest.mark.parametrize("at", [12, 52, 64])  # of the frame's name, of the ranges, of the intensities
@@ -153,9 +153,9 @@ def test_lengths_that_cannot_be_are_refused(at):
     whole = bytearray(ros_peer.scan(5.0, "lase", [1.0, 2.0], 0.0, 0.1, 10.0))
     whole[at : at + 4] = b"\xff\xff\xff\xff"
     with pytest.raises(RefusedError, match="malformed"):
-        cdr.decode(bytes(whole), cdr.SCAN)
+        wire.decode(bytes(whole), wire.SCAN)
 
 
 def test_a_message_beyond_a_mebibyte_is_refused_unread():
     with pytest.raises(RefusedError, match="oversized"):
-        cdr.decode(bytes((1 << 20) + 1), cdr.SCAN)
+        wire.decode(bytes((1 << 20) + 1), wire.SCAN)

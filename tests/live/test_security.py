@@ -21,10 +21,9 @@ from mapweave.cli.live_door import FORGED, STRANGER, Denials, plain, reason_of
 from mapweave.core.errors import DataError, UsageError
 from mapweave.live import transport
 from mapweave.live.credentials import Authority, _authority, expect_heard, issue, make_team, tls_settings
-from mapweave.live.messages import encode
+from mapweave.live.messages import Topics, encode
 from mapweave.live.robot import RobotProcess
 from mapweave.live.store import Store
-from mapweave.live.topics import Topics
 from mapweave.live.transport import Network, ask, endpoints, is_open, put, session, there_is
 
 from .processes import Fleet, free_endpoint

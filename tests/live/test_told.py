@@ -12,11 +12,10 @@ from mapweave.api.live_explore import Explorer, PartPlanner
 from mapweave.core.errors import DataError, UsageError
 from mapweave.exploration.laser.config import LaserExploreConfig
 from mapweave.live.door import decode
-from mapweave.live.messages import Closed, GoalMessage, MapState, RobotState, Scans, Tile, encode
+from mapweave.live.messages import Closed, GoalMessage, MapState, RobotState, Scans, Tile, Topics, encode
 from mapweave.live.store import Store
 from mapweave.live.tiles import SIDE, pack
 from mapweave.live.told import MOST_GOALS, MOST_MAPS, STALE, LiveTeam, hear_team
-from mapweave.live.topics import Topics
 from mapweave.live.transport import Network, put, session, told_on
 from mapweave.sim.laser_worlds import CorridorConfig, simulate_corridor
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from mapweave.core import se2
-from mapweave.kernels.mapping.views import judge_walls
+from mapweave.kernels.walls.sight import judge_walls
 from mapweave.mapping.map_overlap import (
     LOOKS,
     SAME_WALL,

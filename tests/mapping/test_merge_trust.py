@@ -5,8 +5,8 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.mapping.merge import merge_as_said, merge_maps
+from mapweave.mapping.merge_ambiguity import LEAST, Grounds
 from mapweave.mapping.merge_search import Start
-from mapweave.mapping.merge_trust import LEAST, Grounds
 
 from ..laser.test_merge import office_pair
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.kernels.laser.resample import systematic
+from mapweave.kernels.laser.refine import systematic
 from mapweave.laser import particle_slam
 from mapweave.laser.beam import IntensityCalibration, beams
 from mapweave.laser.laser_map import ScanInfos

@@ -11,11 +11,10 @@ from mapweave.core import se2
 from mapweave.core.findings import Finding, verdict
 from mapweave.core.records import Track
 from mapweave.io.pyfg import write_pyfg
-from mapweave.ranges import log as range_log
+from mapweave.ranges import network as range_log
 from mapweave.ranges.estimate import RangeEstimate, _mirrored, _Noise, _of_layout, _unlikely, estimate
 from mapweave.ranges.factors import lasting, motion_factor, range_factor
-from mapweave.ranges.log import RangeLog, network_of
-from mapweave.ranges.network import Motions, RangeNetwork, Ranges, bodies_of
+from mapweave.ranges.network import Motions, RangeLog, RangeNetwork, Ranges, bodies_of, network_of
 from mapweave.ranges.start import lay_out, placements
 
 from ..differences import assert_derivative

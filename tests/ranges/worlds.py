@@ -4,7 +4,7 @@ import numpy as np
 
 from mapweave.core import se2
 from mapweave.core.records import Track
-from mapweave.ranges.log import RangeLog
+from mapweave.ranges.network import RangeLog
 from mapweave.sim.mixed_team import MixedRecording
 
 BIAS = 0.3  # [m] of every pair

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from angulation import read_angulation
 
 from mapweave.cli import _run
 from mapweave.core.errors import ReaderError
-from mapweave.io.angulation import read_angulation
 
 pytestmark = pytest.mark.data
 

@@ -15,8 +15,7 @@ from mapweave.core.landmark_log import LandmarkLog, SightingTable
 from mapweave.core.records import Track
 from mapweave.mapping.woven_map import Georeference
 from mapweave.ranges.estimate import RangeEstimate, estimate
-from mapweave.ranges.log import RangeLog, network_of, steps
-from mapweave.ranges.network import RangeNetwork
+from mapweave.ranges.network import RangeLog, RangeNetwork, network_of, steps
 from mapweave.sim.laser import DATUM, placed, simulated_fixes
 from mapweave.sim.mixed_team import MixedWorld, simulate_mixed
 from mapweave.team.georeference import LaidRanges, laid_ranges

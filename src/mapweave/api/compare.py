@@ -151,15 +151,9 @@ def compare(
         A result of `map` or `fuse` from laser logs, made with the graph method, in memory or its folder.
     after
         Another one.
-    out
-        The folder to write; an earlier result there is replaced whole.
     start
         Where the frame of the map after lies in that of the map before, about, as x, y, theta [m, m, rad]: where rooms
         look alike it decides (it is searched everywhere).
-    force
-        Write into `out` even when something other than a result stands there (False).
-    on_progress
-        Called as `on_progress(stage, done, total)`.
 
     Raises
     ------

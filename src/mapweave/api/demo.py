@@ -32,10 +32,6 @@ def demo(
         The folder to write, with the simulated recording in `out/recording`.
     seed
         Of everything drawn at random (2012).
-    force
-        Write into `out` even when something other than a result stands there (False).
-    on_progress
-        Called as `on_progress(stage, done, total)`.
 
     Raises
     ------

@@ -16,7 +16,7 @@ from ..core.plugins import KINDS, is_ours, plugged
 from ..core.version import __version__
 from ..io.directory import write_json
 from ..kernels._jit import cache_root, threads
-from ..kernels.walls.raycast import cast
+from ..kernels.walls.segments import cast
 from ..report.result import ResultBase, Rows
 from ..report.small_pages import draw_checks, write_small_page
 from ..report.style import Target

@@ -34,10 +34,9 @@ from ..evaluation.trajectory import (
     score_tracks,
 )
 from ..io.directory import plain, read_json
-from ..io.landmark_truth import TABLE, read_robot_truth, read_survey
+from ..io.landmark_truth import TABLE, is_relations, read_relations, read_robot_truth, read_survey
 from ..io.positions import Positions, read_network, read_positions, read_track, track_files
 from ..io.pyfg import is_pyfg, read_pyfg
-from ..io.relations import is_relations, read_relations
 from ..io.saved_result import expect_whole
 from ..io.sightings import SwarmTruth
 from ..io.table import read_table

@@ -378,8 +378,6 @@ def explore(
     ----------
     scenario
         yuan, yuan-large, office (lasers), office-AREA, or a TOML file (yuan).
-    out
-        The folder to write; an earlier result there is replaced whole.
     robots
         How many (2, or as many as the scenario has starts).
     runs
@@ -412,12 +410,6 @@ def explore(
         a configuration class; options here win.
     jobs
         How many runs are worked on at once, in processes of our own (1).
-    force
-        Write into `out` even when something other than a result stands there (False).
-    executor
-        Any `concurrent.futures.Executor` in place of `jobs`.
-    on_progress
-        Called as `on_progress(stage, done, total)`.
 
     Raises
     ------

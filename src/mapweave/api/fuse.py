@@ -107,8 +107,6 @@ def fuse(
     directories
         Results of `map` or `fuse`, in memory or their folders, all of landmark logs or all of laser logs (of the graph
         method).
-    out
-        The folder to write; an earlier result there is replaced whole.
     weights
         How much each map counts: constant, paper, diagonal, full, full-scaled or naive (full-scaled). Landmarks alone.
     identities
@@ -125,10 +123,6 @@ def fuse(
     decisions
         What is said of pairs of robots and of places: a `decisions.toml` of this result, edited, or what it holds
         (nothing). Laser results alone.
-    force
-        Write into `out` even when something other than a result stands there (False).
-    on_progress
-        Called as `on_progress(stage, done, total)`.
 
     Raises
     ------

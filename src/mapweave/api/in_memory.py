@@ -17,7 +17,7 @@ from ..core.errors import MapweaveError, ReaderError, UsageError
 from ..core.names import in_order, robot_key, robot_name
 from ..core.paths import is_path, kind_of, path_of
 from ..core.records import Track
-from ..io.relations import write_relations
+from ..io.landmark_truth import write_relations
 from ..io.table import Columns, Framed, is_table, table_of, write_table
 from ..io.tum import write_exact_tum
 from ..report.result import ResultBase

@@ -6,7 +6,7 @@ import time
 import webbrowser
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -23,19 +23,17 @@ from ..core.paths import AnyConfig, checked_arguments
 from ..core.version import __version__
 from ..core.workers import one_blas_thread
 from ..io.directory import check_target, write_json
-from ..live.bag_feed import BagFeed
 from ..live.credentials import expect_heard, make_team
+from ..live.driven import LaserRobot
 from ..live.inbox import Inbox
 from ..live.isolation import without_culprits
 from ..live.landmark_robot import LandmarkRobot
-from ..live.laser_robot import LaserRobot
 from ..live.map_process import MapProcess
-from ..live.messages import Header, check_name
+from ..live.messages import Header, Topics, check_name
 from ..live.robot import Listeners, Pace, RobotProcess
-from ..live.sources import messages, open_recording, open_source
+from ..live.sources import BagFeed, messages, open_recording, open_source
 from ..live.store import Store, begun
 from ..live.told import follow
-from ..live.topics import Topics
 from ..live.transport import LISTENING, Network, is_open, session, told_on
 from ..live.view import Board, served
 from ..mapping.config import LaserConfig
@@ -43,12 +41,11 @@ from ..report.result import ResultBase
 from ..report.small_pages import draw_messages, write_small_page
 from ..report.style import Target
 from .laser_result import LaserResult, starts_among
-from .live_mixed import join_apart
 from .live_ros2 import RosOptions, drive_ros2
 from .map_landmarks import LandmarkMapConfig, map_landmark_logs
 from .map_laser import LaserMapConfig
 from .map_laser import map_logs as map_lasers
-from .map_mixed import MixedMapConfig, MixedResult, map_mixed_logs
+from .map_mixed import MixedMapConfig, MixedResult, join_apart, map_mixed_logs
 from .map_options import MapOptions
 from .team import TeamResult
 
@@ -162,10 +159,6 @@ def live_robot(
     network
         How to reach the others (those on this network find each other); a ROS graph's router among them, which stands
         at tcp/localhost:7447 unless `connect` names another.
-    stop
-        Ends the run as soon as it is set.
-    say
-        Called with a line where something happens.
     wall
         The robot's clock [s].
     """
@@ -181,36 +174,38 @@ def live_robot(
     if network.tls is not None:
         expect_heard(network.tls, name, network.team, "robot")
     path = Path("mapweave-live", f"{network.team}-{name}.sqlite") if history is None else Path(history)
-    stop = stop or Event()
-    if str(source) == ROS2:
-        with Store(path, f"robot {name} of team {network.team}") as store:
-            if fresh:
-                store.clear()
-            run = begun(store, "laser", period)
-            sent, ears = drive_ros2(name, options, store, run, period, linger, config, network, stop, say, wall)
-            return _ended(name, sent, ears, store)
-    if follow:
-        if ros is not None or rate != 1.0:
-            raise UsageError("--follow: a recording that is still written has neither --rate nor options of ROS graphs")
-        return _following(name, Path(source), robot, period, path, fresh, linger, config, network, stop, say, wall)
-    if ros is not None:
+    stop, ros2 = stop or Event(), str(source) == ROS2
+    if follow and (ros is not None or rate != 1.0):
+        raise UsageError("--follow: a recording that is still written has neither --rate nor options of ROS graphs")
+    if ros is not None and not ros2:
         words = "--domain, --pattern, --graph, --sensor-pose, --all-scanners, --team-map, --goals"
         raise UsageError(f"{words}: of --source {ROS2} alone")
-    log = open_source(str(source), name, robot, seed)
-    with Store(path, f"robot {name} of team {network.team}") as store:
+    log = None if ros2 or follow else open_source(str(source), name, robot, seed)
+    with Store(path, f"robot {name} of team {network.team}") as store, ExitStack() as opened:
         if fresh:
             store.clear()
-        run = begun(store, "laser" if isinstance(log, LaserLog) else "landmarks", period)
-        header = next(messages(log, name, run, period))[1]
-        assert isinstance(header, Header)  # noqa: S101  (the first of every log)
-        driving = _driving(header, config)
-        with session(network, lambda at: say(f"{name}: {LISTENING}{at}")) as opened:
-            process = RobotProcess(name, opened, Topics(network.team), store, say, wall)
-            process.join()
-            say(f"{name}: {log.robot} of {source}, team {network.team}, history in {path}")
+        run = begun(store, "landmarks" if isinstance(log, LandmarkLog) else "laser", period)
+        if ros2:
+            sent, ears = drive_ros2(name, options, store, run, period, linger, config, network, stop, say, wall)
+            return _ended(name, sent, ears, store)
+        if log is not None:
+            header = next(messages(log, name, run, period))[1]
+            assert isinstance(header, Header)  # noqa: S101  (the first of every log)
+            driving = _driving(header, config)
+        team = opened.enter_context(session(network, lambda at: say(f"{name}: {LISTENING}{at}")))
+        process = RobotProcess(name, team, Topics(network.team), store, say, wall)
+        process.join()
+        told = f"follows {source}" if log is None else f"{log.robot} of {source}"
+        say(f"{name}: {told}, team {network.team}, history in {path}")
+        if log is None:
+            opener = partial(open_recording, name=name, robot=robot)
+            feed = BagFeed(Path(source), opener, name, run, period, stop, say)
+            begin = partial(_driving, settings=config)
+            sent = process.follow(feed, begin, Pace(linger=linger), feed.ended, lambda _: None)
+        else:
             expected = bool(network.connect or network.listen)
             sent = process.run(messages(log, name, run, period), driving, Pace(rate, linger, expected), stop)
-            return _ended(name, sent, process.listeners, store)
+        return _ended(name, sent, process.listeners, store)
 
 
 def _ended(name: str, sent: int, listeners: Listeners, store: Store) -> LiveRobot:
@@ -225,36 +220,6 @@ def _check_pace(rate: float, period: float, linger: float) -> None:
         raise UsageError(f"--period: expected seconds above 0, found {period}")
     if not linger >= 0:
         raise UsageError(f"--linger: expected seconds, found {linger}")
-
-
-def _following(
-    name: str,
-    source: Path,
-    robot: str | None,
-    period: float,
-    history: Path,
-    fresh: bool,  # noqa: FBT001
-    linger: float,
-    config: AnyConfig | None,
-    network: Network,
-    stop: Event,
-    say: Say,
-    wall: Callable[[], float],
-) -> LiveRobot:
-    """A robot driven by a recording that grows."""
-    with Store(history, f"robot {name} of team {network.team}") as store:
-        if fresh:
-            store.clear()
-        run = begun(store, "laser", period)
-        with session(network, lambda at: say(f"{name}: {LISTENING}{at}")) as opened:
-            process = RobotProcess(name, opened, Topics(network.team), store, say, wall)
-            process.join()
-            say(f"{name}: follows {source}, team {network.team}, history in {history}")
-            feed = BagFeed(source, partial(open_recording, name=name, robot=robot), name, run, period, stop, say)
-            sent = process.follow(
-                feed, partial(_driving, settings=config), Pace(linger=linger), feed.ended, lambda _: None
-            )
-            return _ended(name, sent, process.listeners, store)
 
 
 def _driving(header: Header, settings: AnyConfig | None) -> LandmarkRobot | LaserRobot:
@@ -314,14 +279,10 @@ def live_map(
         Settings, as for `map`.
     seed
         As for `map` (0).
-    force
-        Write into `out` even when something other than a result stands there.
     network
         How to reach the others (those on this network find each other).
     stop
         Ends the hearing as soon as it is set.
-    say
-        Called with a line where something happens.
     wall
         This process's clock [s].
     at_the_door
@@ -512,10 +473,6 @@ def live_robots(
         Of which ROS graph; its `pattern` is not read.
     network
         How to reach the others, as for `live_robot`; the graph's router is another process.
-    stop
-        Ends the run as soon as it is set.
-    say
-        Called with a line where something happens.
     """
     network, ros = network or Network(), ros or RosOptions()
     twice = [name for k, name in enumerate(names) if name in names[:k]]

@@ -13,8 +13,8 @@ from typing import Literal
 from ..core.errors import EstimateError, UsageError
 from ..core.names import in_order
 from ..io.directory import check_target
+from ..live.laser_team import compile_kernels
 from ..live.transport import LISTENING
-from ..live.warm import compile_kernels
 from .simulate import simulate_landmarks
 
 Say = Callable[[str], None]

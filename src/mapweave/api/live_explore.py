@@ -12,9 +12,8 @@ from ..core.errors import DataError, UsageError
 from ..exploration.laser.config import LaserPlan
 from ..exploration.laser.mission import GOALS_SAME, LaserBelief, PlannerState
 from ..exploration.laser.planners import by_tours, choose_goals
-from ..live.messages import GoalMessage, Numbers, check_name, encode
+from ..live.messages import GoalMessage, Numbers, Topics, check_name, encode
 from ..live.told import LiveTeam, TeamRobot, hear_team
-from ..live.topics import Topics
 from ..live.transport import LISTENING, Network, put, session, told_on
 
 LEVEL = 1  # of the squares that are planned on: 0.2 m

@@ -1,7 +1,7 @@
-"""A laser robot of a live team whose scans a program hands in, and what the team tells it back."""
+"""A live team for programs: a laser robot whose scans are handed in, what the team tells it, what the team knows."""
 
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event, Thread
@@ -18,16 +18,16 @@ from ..core.paths import AnyConfig
 from ..core.records import Event as ScanEvent
 from ..core.records import Scan, frozen
 from ..core.workers import one_blas_thread
-from ..io.laser_stream import NOWHERE, LaserStream, Numbers
+from ..io.laser_arrays import NOWHERE, LaserStream, Numbers
 from ..live.columns import square
 from ..live.credentials import expect_heard
+from ..live.driven import LaserRobot
 from ..live.laser_feed import ScanFeed, log_robot
-from ..live.laser_robot import LaserRobot
-from ..live.messages import Header, check_name
+from ..live.messages import Header, Topics, check_name
 from ..live.robot import Driving, Pace, RobotProcess
 from ..live.store import Store, begun
+from ..live.tiles import LEVELS
 from ..live.told import LiveTeam, hear_team
-from ..live.topics import Topics
 from ..live.transport import LISTENING, Network, session
 from .map_laser import LaserMapConfig
 
@@ -240,3 +240,30 @@ class LiveLaser:
         failed, self._failed = self._failed, None
         if failed is not None:
             raise failed
+
+
+@contextmanager
+def live_follow(*, level: int = 0, network: Network | None = None) -> Iterator[LiveTeam]:
+    """Follow a live team from a program: within the block what it gives tells how the team stands, at any time.
+
+    Parameters
+    ----------
+    level
+        Of the map's squares that are heard: 0 is as fine as the map is made, 1 and 2 four times coarser each (0).
+    network
+        How to reach the team (those on this network find each other).
+
+    Raises
+    ------
+    UsageError
+        For a level that there is none of, a team's name that cannot be, an endpoint that is none.
+    """
+    network = network or Network()
+    check_name(network.team, "--team")
+    if level not in range(LEVELS):
+        raise UsageError(f"level: expected 0 to {LEVELS - 1}, found {level}")
+    team = LiveTeam()
+    with session(network) as opened:
+        held = hear_team(opened, Topics(network.team), team, level=level)
+        yield team
+        del held

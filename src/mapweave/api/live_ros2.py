@@ -10,14 +10,13 @@ from threading import Event
 from ..core.config import load
 from ..core.errors import UsageError
 from ..core.paths import AnyConfig
-from ..live.laser_robot import LaserRobot
-from ..live.messages import Header, RefusedError
+from ..live.driven import LaserRobot
+from ..live.messages import Header, RefusedError, Topics
 from ..live.robot import Driving, Listeners, Pace, RobotProcess
 from ..live.ros2.feed import Chosen, RosFeed
 from ..live.ros2.shown import RosView
 from ..live.store import Store
 from ..live.told import LiveTeam, hear_team
-from ..live.topics import Topics
 from ..live.transport import LISTENING, Network, Session, session
 from .map_laser import LaserMapConfig
 

@@ -19,23 +19,21 @@ from ..core.run import robot_rng
 from ..core.version import __version__
 from ..core.workers import Progress, no_progress, one_blas_thread
 from ..io.directory import check_target, write_json
-from ..io.laser_arrays import laser_log_of
+from ..io.laser_arrays import NOWHERE, LaserStream, Numbers, laser_log_of
 from ..io.laser_logs import LaserSource, read_laser
 from ..io.laser_map import NAME, read_grid, write_scans
-from ..io.laser_stream import NOWHERE, LaserStream, Numbers
 from ..io.ros_map import YAML_SUFFIXES, read_ros_map
 from ..io.table import Columns, columns_of
 from ..io.tum import read_tum, write_tum
 from ..laser.beam import IntensityCalibration
 from ..laser.config import GEOMETRY, Feature
 from ..laser.laser_map import GridMap
-from ..laser.localise import Localisation, MapFollower, localise
-from ..laser.localise_filter import LocaliseConfig
+from ..laser.localise import Localisation, LocaliseConfig, MapFollower, localise
 from ..laser.localise_trust import Evidence
 from ..laser.scan_odometry import PoseEstimate
 from ..mapping.config import LaserConfig
-from ..report.localize import localisation_scene, write_localisation_report
 from ..report.result import ResultBase, Rows, written
+from ..report.small_pages import localisation_scene, write_localisation_report
 from ..report.style import Target
 from .in_memory import Truth, result_folder, truth_files
 from .laser_result import LaserResult
@@ -283,8 +281,6 @@ def localize(
     map
         What `map` wrote for one robot, or its result; or the `map.yaml` of a map as ROS navigation's map server reads
         it, this program's own or another's: walls alone, in the frame that its `origin` tells.
-    out
-        The folder to write; an earlier result there is replaced whole.
     odometry
         Beside scans in memory: columns t [s], x [m], y [m], theta [rad] (none).
     start
@@ -297,12 +293,6 @@ def localize(
         a configuration class; options here win.
     laser
         Options of laser logs.
-    seed
-        Of everything drawn at random (0).
-    force
-        Write into `out` even when something other than a result stands there (False).
-    on_progress
-        Called as `on_progress(stage, done, total)`.
 
     Raises
     ------

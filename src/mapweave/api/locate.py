@@ -18,9 +18,8 @@ from ..core.records import Odometry
 from ..core.workers import Progress, no_progress, one_blas_thread
 from ..evaluation.swarm import StandingScore, score_moving, score_standing, scored_robots, true_places
 from ..io.directory import check_target
-from ..io.sightings import SwarmTruth, read_swarm_odometry, read_swarm_truth
+from ..io.sightings import SwarmTruth, read_swarm_odometry, read_swarm_truth, read_team_bearings
 from ..io.table import Columns, Table, columns_of, table_of
-from ..io.team_bearings import read_team_bearings
 from ..swarm.config import Method, SwarmConfig
 from ..swarm.locate import locate as locate_network
 from ..swarm.moving.result import SwarmTrack, TrackConfig
@@ -124,8 +123,6 @@ def locate(
         A table in memory or its file (CSV, Parquet): observer, target and bearing [rad]; in space azimuth, elevation
         [rad] or bx, by, bz; optional sigma [rad] and t [s]. Or the folder or zip of a landmark log whose robots saw
         each other.
-    out
-        The folder to write; an earlier result there is replaced whole.
     anchors
         Id -> known position [m].
     dim
@@ -159,10 +156,6 @@ def locate(
         Of moving robots what was known at each instant, not what all sightings say of it (False).
     seed
         Kept in the metrics; the result does not depend on it (0).
-    force
-        Write into `out` even when something other than a result stands there (False).
-    on_progress
-        Called as `on_progress(stage, done, total)`.
 
     Raises
     ------

@@ -16,9 +16,8 @@ from ..core.version import __version__
 from ..evaluation.swarm import StandingScore, StandingSwarm, SwarmScore
 from ..io.directory import write_json
 from ..io.positions import track_files, write_network, write_others, write_positions, write_track
-from ..io.sightings import Dropped, SwarmTruth, read_sightings, read_swarm_truth
+from ..io.sightings import Dropped, SwarmTruth, read_sightings, read_swarm_truth, read_team_truth
 from ..io.table import Table, write_table
-from ..io.team_bearings import read_team_truth
 from ..report.result import ResultBase
 from ..report.style import Target
 from ..report.swarm import (

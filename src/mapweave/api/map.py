@@ -162,8 +162,6 @@ def map(  # noqa: A001  (the verb)
         MRCLAM data sets (folder or zip), folders of `odometry.csv` and `sightings.csv`, laser logs (.bag, .db3, .mcap,
         CARMEN and others), what `read` gave, or `LaserLog`s in memory. Logs of several kinds together, and tables of
         commands and sightings beside them, are a mixed team. Leave it out where tables are given.
-    out
-        The folder to write; an earlier result there is replaced whole.
     scans
         Laser scans in memory: `t` (m,) [s], `ranges` (m, n) [m], `angles` (n,) [rad] evenly spaced, and optionally
         `intensities` (m, n) and `range_max` [m]; several robots as a list.
@@ -191,8 +189,6 @@ def map(  # noqa: A001  (the verb)
     config
         Settings as `configuration("map")` prints them: a TOML file, its tables as mappings, or an object of
         a configuration class; options here win.
-    seed
-        Of everything drawn at random (0).
     jobs
         How many robots are worked on at once, in processes of our own (1).
     every
@@ -223,15 +219,9 @@ def map(  # noqa: A001  (the verb)
         (False).
     strict
         Raise VerdictError unless the verdict is good, once all is written (False).
-    force
-        Write into `out` even when something other than a result stands there (False).
-    executor
-        Any `concurrent.futures.Executor` in place of `jobs`.
     cluster
         The address of a Dask scheduler (`tcp://host:8786`) in place of `jobs`: each log's own map is made on its
         workers, which see laser logs under the same paths. Needs the extra `[cluster]`.
-    on_progress
-        Called as `on_progress(stage, done, total)`.
 
     Raises
     ------

@@ -25,12 +25,11 @@ from ..io.team_map import write_landmarks, write_tracks
 from ..landmarks.landmark_map import LandmarkMap
 from ..mapping.woven_map import Georeference
 from ..ranges.estimate import PlacedPart, RangeEstimate, estimate
-from ..ranges.log import RangeLog, network_of
-from ..ranges.network import RangeNetwork
+from ..ranges.network import RangeLog, RangeNetwork, network_of
 from ..report.html import told_list
-from ..report.ranges import RangeStory, range_scene, write_range_report
 from ..report.result import ResultBase, Rows, written
 from ..report.score import headline_scores
+from ..report.small_pages import RangeStory, range_scene, write_range_report
 from ..report.style import Target
 from ..team.georeference import laid_ranges
 from ..team.team_map import TeamMap, in_first_frame, way_loose
@@ -200,10 +199,6 @@ def solve_ranges(file: Path | str, out: Path | str | None = None, *, force: bool
     file
         A planar graph in the text format of PyFactorGraph (.pyfg, plain or packed): VERTEX_SE2, VERTEX_XY, EDGE_SE2,
         EDGE_RANGE and priors.
-    out
-        The folder to write; an earlier result there is replaced whole.
-    force
-        Write into `out` even when something other than a result stands there (False).
 
     Raises
     ------

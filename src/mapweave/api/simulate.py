@@ -16,7 +16,7 @@ from ..core.version import __version__
 from ..core.workers import one_blas_thread
 from ..io.directory import check_target, write_json
 from ..io.mcap import write_mcap
-from ..io.mixed_team import Row, TrueTeam, write_mixed_team, write_truth
+from ..io.mixed_logs import Row, TrueTeam, write_mixed_team, write_truth
 from ..io.mrclam import write_mrclam
 from ..io.range_bags import write_range_bag
 from ..io.sightings import write_sightings
@@ -111,8 +111,6 @@ def simulate_landmarks(
         Probability that a range is wrong by about a metre (0.01).
     misreads
         Probability that a sighting carries a barcode that nobody listed (0.001).
-    seed
-        Of everything drawn at random (0).
     force
         Write into `out` even when something other than an earlier recording stands there (False).
 
@@ -201,8 +199,6 @@ def simulate_laser(
     fixes
         Also carry a satellite receiver with so much noise [m] on either axis; drives of other seeds lie elsewhere, and
         the truth is east and north of one datum (no receiver).
-    seed
-        Of everything drawn at random (0).
 
     Raises
     ------
@@ -345,8 +341,6 @@ def simulate_swarm(out: Path | str | None = None, scene: SwarmScene | None = Non
         or in space `rx,ry,rz` where they mean something) and, when the robots drive, FILE.odometry.csv (`t,robot,v,w`).
     scene
         How many robots, how far they see, how they move, and the noise (`SwarmScene()`).
-    seed
-        Of everything drawn at random (0).
 
     Raises
     ------
@@ -542,8 +536,6 @@ def simulate_team(
     fixes
         Robots with a laser or a radio also carry a satellite receiver with so much noise [m] on either axis; teams of
         other seeds lie elsewhere, and the truth is east and north of one datum (no receiver).
-    seed
-        Of everything drawn at random (0).
     force
         Write into `out` even when something other than an earlier recording stands there (False).
 

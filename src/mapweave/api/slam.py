@@ -13,8 +13,8 @@ from ..core.records import Event, Odometry, Sightings
 from ..core.run import Runner
 from ..core.se2 import wrap_angle
 from ..core.workers import Progress, no_progress, one_blas_thread
+from ..io.laser_arrays import NOWHERE, LaserStream, Numbers
 from ..io.laser_state import LaserState
-from ..io.laser_stream import NOWHERE, LaserStream, Numbers
 from ..io.table import A_NAME, is_name
 from ..landmarks import ekf_slam
 from ..landmarks.ekf_slam import EkfSlamState

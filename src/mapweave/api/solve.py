@@ -15,14 +15,13 @@ from ..core.paths import checked_arguments, is_path, path_of
 from ..core.records import Track
 from ..core.version import __version__
 from ..io.directory import check_target, write_json
-from ..io.g2o import G2oFile, read_g2o_file, write_g2o
-from ..io.graph_arrays import graph_of, is_graph
+from ..io.g2o import G2oFile, graph_of, is_graph, read_g2o_file, write_g2o
 from ..io.table import open_text
 from ..io.tum import write_track_covariance, write_tum
 from ..laser.pose_graph import PoseGraph
 from ..laser.robust_graph import RobustGraphConfig, SolvedGraph, solve_graph
 from ..report.result import ResultBase, written
-from ..report.solve import graph_scene, write_solve_report
+from ..report.small_pages import graph_scene, write_solve_report
 from ..report.style import Target
 
 CHANCE = 1e-6  # that a sound graph is called doubtful, in each way it is looked at
@@ -132,12 +131,8 @@ def solve_pose_graph(
         the columns `from`, `to` (whole numbers), x [m], y [m], theta [rad] of the pose of `to` in the frame of `from`
         and `information` (m, 3, 3) over these [1/m^2, 1/rad^2], beside `poses` to start from, a table with the columns
         id, x, y, theta or rows of x, y, theta numbered from 0 (found by walking along the edges).
-    out
-        The folder to write; an earlier result there is replaced whole.
     robust
         Reject edges that contradict the others, those from a vertex to the next excepted (False).
-    force
-        Write into `out` even when something other than a result stands there (False).
 
     Raises
     ------

@@ -148,8 +148,6 @@ def edit(
         Where the page stands (8643); 0 is any that is free.
     browser
         Open it in a browser.
-    stop
-        Ends it as soon as it is set.
     say
         Called with a line that names the address.
 

@@ -20,6 +20,7 @@ from cyclopts import Parameter
 
 from ..core.config_text import own_meanings
 from ..core.errors import VerdictError
+from ..core.signatures import COMMON
 from ..kernels.compiling import nothing_collected
 from .terminal import progress, say, until_interrupted
 
@@ -173,7 +174,7 @@ def source_of(where: str) -> dict[str, Given]:
         bare: list[ast.expr | None] = [None] * (len(plain) - len(node.args.defaults))
         defaults = [*bare, *node.args.defaults, *node.args.kw_defaults]
         found = [(a.arg, a.annotation, d) for a, d in zip([*plain, *named], defaults, strict=True)]
-    return {key: Given(kind, _value(default), meaning.get(key, "")) for key, kind, default in found}
+    return {key: Given(kind, _value(default), meaning.get(key, COMMON.get(key, ""))) for key, kind, default in found}
 
 
 def _value(default: ast.expr | None) -> object:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .errors import UsageError
-from .records import frozen
+from .records import freeze
 
 _ANGLE = re.compile(r"^\s*([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*(deg|rad)\s*$")
 
@@ -29,12 +29,8 @@ class BearingTable:
     axis: bool = True
 
     def __post_init__(self) -> None:
-        for name in ("observer", "target"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.int64))
-        for name in ("direction", "sigma"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        if self.t is not None:
-            object.__setattr__(self, "t", frozen(self.t))
+        freeze(self, "observer", "target", dtype=np.int64)
+        freeze(self, "direction", "sigma", "t")
 
     @property
     def dim(self) -> int:

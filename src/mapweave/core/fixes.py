@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float
 
-from .records import frozen
+from .records import freeze
 
 A, F = 6378137.0, 1.0 / 298.257223563  # [m], of WGS 84
 E2 = F * (2.0 - F)  # squared eccentricity
@@ -76,8 +76,7 @@ class Fixes:
     dropped: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("t", "place", "cov", "antenna"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze(self, "t", "place", "cov", "antenna")
 
     def __len__(self) -> int:
         return len(self.t)

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from .errors import DataError, ReaderError
 from .findings import Finding, Unused, Value
 from .fixes import Fixes
-from .records import Event, LandmarkPacket, Odometry, expect_seconds, frozen
+from .records import Event, LandmarkPacket, Odometry, expect_seconds, freeze
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,9 +31,8 @@ class SightingTable:
     ids: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        for name in ("t", "range", "bearing"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        object.__setattr__(self, "what", frozen(self.what, np.int64))
+        freeze(self, "t", "range", "bearing")
+        freeze(self, "what", dtype=np.int64)
 
     def __len__(self) -> int:
         return len(self.t)
@@ -82,7 +81,7 @@ class LandmarkLog:
     fixes: Fixes | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "misread", frozen(self.misread))
+        freeze(self, "misread")
         if self.odometry is not None and not len(self.odometry.t):
             object.__setattr__(self, "odometry", None)
         if not self.log_hash:
@@ -194,9 +193,8 @@ class RobotRecording:
     truth: Float[np.ndarray, "k 4"]
 
     def __post_init__(self) -> None:
-        for name in ("odometry", "stamps", "sightings", "truth"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        object.__setattr__(self, "barcodes", frozen(self.barcodes, np.int64))
+        freeze(self, "odometry", "stamps", "sightings", "truth")
+        freeze(self, "barcodes", dtype=np.int64)
 
 
 @dataclass(frozen=True, slots=True)

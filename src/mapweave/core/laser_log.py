@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from .findings import Finding, Unused
 from .fixes import Fixes
-from .records import Event, OdometryPoses, Scan, Track, frozen
+from .records import Event, OdometryPoses, Scan, Track, freeze
 
 LEAST_RETURNS = 10  # of a scan; nobody matches one that has fewer
 
@@ -60,7 +60,7 @@ class LaserLog:
     fixes: Fixes | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "scan_t", frozen(self.scan_t))
+        freeze(self, "scan_t")
         if self.odometry is not None and not len(self.odometry.t):
             object.__setattr__(self, "odometry", None)
 

@@ -11,6 +11,7 @@ from types import NoneType, UnionType
 from typing import Any, ClassVar, ParamSpec, Protocol, TypeVar, Union, get_args, get_origin, runtime_checkable
 
 from .errors import UsageError
+from .signatures import with_common
 from .workers import Progress
 
 P = ParamSpec("P")
@@ -109,7 +110,8 @@ def checked_arguments(verb: Callable[P, T]) -> Callable[P, T]:
     """`verb` raises UsageError by the argument's name for what is of another kind than its annotation says.
 
     That is asked where the annotation is made of paths, text, numbers, mappings, sequences, functions, settings and
-    classes of this package; data that come in many kinds are the verb's own to check.
+    classes of this package; data that come in many kinds are the verb's own to check. What the docstring does not say
+    of arguments that mean the same for every verb is added to it.
     """
     parameters = inspect.signature(verb).parameters
     names = tuple(parameters)
@@ -123,4 +125,5 @@ def checked_arguments(verb: Callable[P, T]) -> Callable[P, T]:
                 raise UsageError(f"{name}: expected {expected.words}, found {kind_of(given)}")
         return verb(*args, **options)
 
+    checked.__doc__ = with_common(verb.__doc__ or "", names) or None
     return checked

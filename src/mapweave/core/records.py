@@ -25,6 +25,13 @@ def frozen(values: Any, dtype: Any = np.float64) -> np.ndarray:
     return a
 
 
+def freeze(record: object, *names: str, dtype: Any = np.float64) -> None:
+    """These arrays of a frozen dataclass that is being made are `frozen` now, but for those that are None."""
+    for name in names:
+        if (values := getattr(record, name)) is not None:
+            object.__setattr__(record, name, frozen(values, dtype))
+
+
 def expect_seconds(t: Float[np.ndarray, " n"], where: object) -> None:
     """Raises ReaderError naming `where` and the unit when stamps count in a smaller one."""
     size = float(np.median(np.abs(t))) if len(t) else 0.0
@@ -139,7 +146,6 @@ class Track:
     frame: str = "map"
 
     def __post_init__(self) -> None:
-        for name in ("t", "pose"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze(self, "t", "pose")
         if self.cov is not None:
             object.__setattr__(self, "cov", frozen(self.cov))

@@ -1,10 +1,12 @@
 """Signatures as `help()`, notebooks and editors at run time show them: names without their modules, a parameter a line.
 
-They hold what Python's own hold (the same parameters, the same annotations as objects); only their text differs.
+They hold what Python's own hold (the same parameters, the same annotations as objects); only their text differs. What
+an argument means for every verb is said here, once, and added to their docstrings.
 """
 
 import inspect
 import re
+from collections.abc import Iterable
 from types import FunctionType
 from typing import Any, get_args
 
@@ -13,6 +15,27 @@ LONGEST_DEFAULT = 40  # letters; a longer one is told by its type alone
 PACKAGE = __name__.partition(".")[0]
 QUOTED = re.compile(r"('[^']*')")
 MODULES = re.compile(r"\b(?:[^\W\d]\w*\.)+(?=[^\W\d])")
+COMMON = {  # arguments that mean the same wherever a docstring does not say otherwise
+    "out": "The folder to write; an earlier result there is replaced whole.",
+    "seed": "Of everything drawn at random (0).",
+    "force": "Write into `out` even when something other than a result stands there (False).",
+    "executor": "Any `concurrent.futures.Executor` in place of `jobs`.",
+    "on_progress": "Called as `on_progress(stage, done, total)`.",
+    "stop": "Ends it as soon as it is set.",
+    "say": "Called with a line where something happens.",
+}
+SECTION = re.compile(r"(?<=\nParameters\n----------\n).*?(?=\n\n[A-Z][a-z]+\n-{4,}\n|$)", re.DOTALL)
+
+
+def with_common(docstring: str, arguments: Iterable[str]) -> str:
+    """`docstring`, its section of parameters with those of `arguments` that it leaves to `COMMON`, in their order."""
+
+    def completed(section: re.Match[str]) -> str:
+        told = {entry.split("\n")[0]: entry for entry in re.split(r"\n(?=\S)", section[0])}
+        common = {name: f"{name}\n    {COMMON[name]}" for name in arguments if name in COMMON}
+        return "\n".join([(common | told)[name] for name in arguments if name in common or name in told])
+
+    return SECTION.sub(completed, inspect.cleandoc(docstring))
 
 
 class ReadableParameter(inspect.Parameter):

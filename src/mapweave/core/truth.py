@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from .records import frozen
+from .records import freeze
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,7 +16,7 @@ class Survey:
     xy: Float[np.ndarray, "n 2"]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "xy", frozen(self.xy))
+        freeze(self, "xy")
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -35,8 +35,7 @@ class Relations:
     source: str = ""
 
     def __post_init__(self) -> None:
-        for name in ("t1", "t2", "pose"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze(self, "t1", "t2", "pose")
 
     def __len__(self) -> int:
         return len(self.t1)

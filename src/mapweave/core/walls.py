@@ -15,7 +15,7 @@ from ..kernels.walls.segments import (
 )
 from ..kernels.walls.wall_grid import WallBuckets, cast_in_grid, drive_discs, fill_buckets, touches_wall
 from . import se2
-from .records import frozen
+from .records import freeze, frozen
 
 PAINT = 0.6  # reflectance of a wall of which nothing else is known
 
@@ -32,8 +32,7 @@ class Walls:
     solid: bool = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "segments", frozen(self.segments))
-        object.__setattr__(self, "reflectance", frozen(self.reflectance))
+        freeze(self, "segments", "reflectance")
 
     @classmethod
     def of(cls, segments: Float[np.ndarray, "s 4"], *, solid: bool = False) -> "Walls":

@@ -257,7 +257,6 @@ def fuse_relative(
     start: Cluster | None = None,
     pairs: Sequence[tuple[str, str]] | None = None,
     sightings: Sequence[FrameSightings] = (),
-    solve: SolveConfig | None = None,
 ) -> RelativeFusion:
     """All `maps` as one, in the first one's frame; raises EstimateError when they are not connected.
 
@@ -276,7 +275,7 @@ def fuse_relative(
     terms += [sighting_factor(s, _where(layout, s.a), _where(layout, s.b)) for s in sightings]
     if cfg.reference == "prior":
         terms.append(_prior_factor(layout, x0, cfg))
-    solution = _converge(Problem(x0, terms, retract=wrapping(layout.angles)), solve)
+    solution = _converge(Problem(x0, terms, retract=wrapping(layout.angles)))
     if solution.information is None or not solution.converged:
         raise EstimateError(f"the maps could not be fused: the solver ended {solution.status.value}")
     findings = () if cfg.repeats == 1 else (Finding("maps-repeated", value=cfg.repeats),)
@@ -349,10 +348,10 @@ def prior_variances(layout: RelativeLayout, cfg: RelativeConfig) -> Float[np.nda
     return P
 
 
-def _converge(problem: Problem, solve: SolveConfig | None) -> Solution:
+def _converge(problem: Problem) -> Solution:
     """Levenberg-Marquardt to the basin's floor, then plain Gauss-Newton to rounding."""
     pattern = Pattern.of(problem)
-    rough = minimise(problem, solve or ROUGH, pattern)
+    rough = minimise(problem, ROUGH, pattern)
     fine = minimise(replace(problem, x0=rough.x), POLISH, pattern)
     if not fine.converged or fine.cost > rough.cost * (1 + 1e-9) + 1e-12:
         return rough

@@ -4,7 +4,7 @@ Where the scene turns against the odometry, the beam angles have the wrong sign,
 """
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -13,15 +13,25 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
-from ..core.errors import DataError
+from ..core.errors import DataError, ReaderError
 from ..core.findings import Finding, Unused, Value
 from ..core.fixes import Fixes
 from ..core.laser_log import LEAST_RETURNS, LaserLog
 from ..core.records import Scan, Track, expect_seconds, frozen
+from .files import TextLog
 from .inertial import IMU, Inertial, with_turns
-from .range_unit import unit_of_ranges
-from .scan_checks import REPEAT, range_difference, repeated, scan_agreement, without_false_returns
-from .stamps import ENOUGH, Mended, mended_stamps, rows_by_scanner
+from .scan_checks import (
+    ENOUGH_ROWS,
+    REPEAT,
+    Mended,
+    mended_stamps,
+    range_difference,
+    repeated,
+    rows_by_scanner,
+    scan_agreement,
+    unit_of_ranges,
+    without_false_returns,
+)
 
 PAIRS = 400  # scan pairs looked at, at most
 VOTES = 10  # pairs that must speak before anything is said
@@ -118,6 +128,22 @@ class RawLog:
     def find(self, code: str, value: Value = None, action: str = "") -> None:
         """Add a finding of this robot."""
         self.findings.append(Finding(code, self.robot, None, value, action))
+
+    def read_rows(self, log: TextLog, rows: Sequence[tuple[int, list[str]]], take: Callable[[list[str]], None]) -> None:
+        """Gives `take` the words of each row of `log`. A last one cut short, which it refuses, is dropped and counted.
+
+        Raises ReaderError, naming the line, where `take` raises ValueError or IndexError.
+        """
+        for number, words in rows:
+            try:
+                take(words)
+            except (ValueError, IndexError) as error:
+                if number == rows[-1][0] and (log.truncated or not log.complete):
+                    self.dropped["last line cut short"] += 1
+                    break
+                raise ReaderError(log.path, str(error), number) from None
+        if log.truncated:
+            self.find("log-short", f"{log.path.name}: {log.truncated}", "what was readable is used")
 
     def finish(
         self, *, mirrored: bool = False, sensor_pose: Sequence[float] | None = None, used: bool = False
@@ -315,7 +341,7 @@ class RawLog:
             self.find("scans-blind", every)
         elif empty:
             self.find("scans-empty", {"value": empty, "all": every}, "odometry carries over them")
-        if every > empty and every >= ENOUGH and max(returns) < LEAST_RETURNS:
+        if every > empty and every >= ENOUGH_ROWS and max(returns) < LEAST_RETURNS:
             self.find("scans-sparse", {"value": every, "least": LEAST_RETURNS})
         if nan := sum(int(np.isnan(raw.ranges).sum()) for raw in scans):
             self.find("ranges-nan", nan)

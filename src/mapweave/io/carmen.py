@@ -3,12 +3,10 @@
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
 from ..core import se2
-from ..core.errors import ReaderError
 from ..core.findings import Unused
 from ..core.laser_log import LaserLog
 from .assemble import UNSOUND, RawLog, RawScan, is_sound, median_pose
@@ -41,30 +39,21 @@ def read_carmen(
     raw = RawLog(robot, str(log.path), log.log_hash, odometry_from="poses")
     kinds: list[str] = []
     other: Counter[str] = Counter()
-    rows = list(log.lines())
-    for number, line in rows:
-        words = line.split()
-        if not words or words[0] not in KEYWORDS:
-            if words and words[0].isupper():
-                other[words[0]] += 1
-            continue
-        try:
-            if words[0] == "ODOM":
-                raw.odometry.append(_odometry(words))
-            else:
-                scan = _robotlaser(words) if words[0].startswith("ROBOT") else _flaser(words)
-                if not is_sound(scan):
-                    raw.dropped[UNSOUND] += 1
-                    continue
+
+    def take(words: list[str]) -> None:
+        if words[0] == "ODOM":
+            raw.odometry.append(_odometry(words))
+        elif words[0] in KEYWORDS:
+            scan = _robotlaser(words) if words[0].startswith("ROBOT") else _flaser(words)
+            if is_sound(scan):
                 raw.scans.append(scan)
                 kinds.append(words[0])
-        except (ValueError, IndexError) as error:
-            if number == len(rows) and (log.truncated or not log.complete):
-                raw.dropped["last line cut short"] += 1
-                break
-            raise ReaderError(log.path, str(error), number) from None
-    if log.truncated:
-        raw.find("log-short", f"{Path(log.path).name}: {log.truncated}", "what was readable is used")
+            else:
+                raw.dropped[UNSOUND] += 1
+        elif words[0].isupper():
+            other[words[0]] += 1
+
+    raw.read_rows(log, log.rows(), take)
     raw.unused = [
         Unused(raw.source, kind, kind, n, "rows of no kind that is read") for kind, n in sorted(other.items())
     ]

@@ -25,7 +25,7 @@ from typing import Any, TypeVar
 
 from ..core.errors import MapweaveError
 from ..core.workers import Progress, no_progress
-from ..kernels.own_folder import is_forgotten, own_folder
+from ..kernels.compiling import is_forgotten, own_folder
 
 log = logging.getLogger(__name__)
 

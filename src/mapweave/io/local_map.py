@@ -9,8 +9,7 @@ import numpy as np
 from ..core.errors import ReaderError
 from ..core.findings import Finding, finding_of
 from ..core.records import Track
-from ..landmarks.landmark_map import LocalMap, RobotSightings, Submap
-from ..landmarks.view import View
+from ..landmarks.landmark_map import LocalMap, RobotSightings, Submap, View
 from .directory import read_json, write_json
 from .npz import Spec, read_npz, write_npz
 

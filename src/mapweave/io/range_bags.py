@@ -19,7 +19,7 @@ from ..core.findings import Finding, Unused
 from ..core.fixes import Fixes
 from ..core.names import in_order
 from ..core.records import Track
-from ..ranges.log import RangeLog
+from ..ranges.network import RangeLog
 from .bag import Bag, bag_hash, open_bag, stamp
 from .bag_robots import FIXES, TF
 from .fixes import NAVSAT, POSES, fix_row, positions_read, read_fixes, topics_of_fixes, why_no_fixes

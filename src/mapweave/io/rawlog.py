@@ -21,9 +21,9 @@ from ..core.errors import ReaderError
 from ..core.findings import Finding, Unused
 from ..core.laser_log import LaserLog
 from ..core.records import Track
-from ..ranges.log import RangeLog
+from ..ranges.network import RangeLog
 from .assemble import RawLog, RawScan
-from .packed import unpacked
+from .files import unpacked
 
 SPACE = rb"(?:mrpt::\w{1,12}::)?"
 NAME = re.compile(SPACE + rb"C(?:Observation\w+|SensoryFrame|Action\w+|Pose\w+|Point\w+|Matrix\w+)")

@@ -16,7 +16,7 @@ from ..core.errors import ReaderError, UsageError
 from ..core.records import frozen
 from ..core.walls import Walls, walls_of_raster
 from ..laser.laser_map import FREE_BELOW, OCCUPIED_ABOVE, GridMap
-from ..laser.occupancy import Occupancy
+from ..laser.occupancy_mapper import Occupancy
 from .table import open_text
 
 UNKNOWN, FREE, OCCUPIED = -1, 0, 1

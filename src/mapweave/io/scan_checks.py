@@ -8,12 +8,17 @@ A scanner mounted turned, and ranges or odometry in other units, show in the mot
 bearing lies nearer by the distance driven along the wall's normal, whatever the wall. So over moments of straight
 driving the changes along the normals tell the motion as the scanner saw it: a factor and a direction against the
 wheels' (the linear form of point-to-line matching, [Censi08]). No map is needed.
+
+Stamps that cannot be are mended: all equal, rounded so that several rows share one, or going back. Rows stand in a file
+in the order in which they were written, which is all that is left where stamps tell nothing. Ranges in another unit
+than metres show by their size, and in which one by how they change as wheels drive.
 """
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -22,7 +27,6 @@ from ..core import se2
 from ..core.findings import Finding, turned_scanner
 from ..core.laser_log import LEAST_RETURNS
 from ..core.records import Scan, frozen
-from .stamps import rows_by_scanner
 
 FALSE_RETURN_NEAR = 1.0  # [m] from the scanner: returns as near may be of the robot itself
 FALSE_RETURN_SAME = 0.03  # [m] about its middle a beam's range stays there,
@@ -349,3 +353,165 @@ def range_difference(a: Scan, b: Scan, shift: int) -> float | None:
         return None
     d = np.abs(a.ranges[low + shift : high + shift] - b.ranges[low:high])[both]
     return float(np.minimum(d, 0.5).mean())
+
+
+FAR = 25.0  # [m] that half the returns of few scanners in use exceed,
+FARTHEST = 90.0  # [m] and of none
+ABOUT = 1.7  # times a unit's factor by which ranges may change with the way, or as little
+SHARE = 0.8  # of the ranges ahead that become shorter by less: some see walls along the way
+ENOUGH = 20  # scans, and
+MOST_SCANS = 200  # that are looked at
+PILE = 0.1  # share of values at the very top that stands for no return
+AHEAD = 0.35  # [rad] to either side of where the wheels lead
+WAY, TURN = (0.1, 1.0), 0.1  # [m] and [rad] by the wheels from one scan to the next looked at: straight on
+WAYS = 5  # that must tell
+UNITS = {"centimetres": 100.0, "millimetres": 1000.0}  # of which a metre holds so many
+
+
+@runtime_checkable
+class Ranged(Protocol):
+    """A scan as a file has it."""
+
+    @property
+    def ranges(self) -> np.ndarray: ...
+    @property
+    def angle_min(self) -> float: ...
+    @property
+    def angle_increment(self) -> float: ...
+    @property
+    def T_robot_sensor(self) -> np.ndarray: ...
+    @property
+    def kept(self) -> bool: ...
+
+
+def unit_of_ranges(scans: Sequence[Ranged], wheels: Sequence[np.ndarray | None]) -> str | None:
+    """In words, in which unit ranges are that are not in metres; None where they may be. wheels: pose at each scan."""
+    held = [scan for scan in scans if scan.kept and len(scan.ranges)]
+    if len(held) < ENOUGH:
+        return None
+    some = held[:: max(1, len(held) // MOST_SCANS)]
+    seen = np.concatenate([scan.ranges for scan in some])
+    seen = seen[np.isfinite(seen) & (seen > 0) & (seen < 1e9)]
+    if not len(seen):
+        return None
+    top = seen >= 0.99 * seen.max()
+    seen = seen[~top] if PILE <= top.mean() < 1.0 else seen
+    middle = float(np.median(seen))
+    if middle <= FAR:
+        return None
+    ratio = _ratio(scans, wheels)
+    told = f"half of the ranges exceed {middle:.4g}"
+    for unit, factor in UNITS.items():
+        if ratio is not None and factor / ABOUT <= ratio <= factor * ABOUT:
+            return f"the ranges are in {unit}: {told}, and they change by {ratio:.3g} times the way of the wheels"
+    return f"the ranges are in centimetres or millimetres: {told}" if middle > FARTHEST else None
+
+
+def _ratio(scans: Sequence[Ranged], wheels: Sequence[np.ndarray | None]) -> float | None:
+    """By how many times the wheels' way the ranges ahead become shorter, in the median; None where too little tells."""
+    places: list[tuple[Ranged, np.ndarray]] = []
+    for scan, pose in zip(scans, wheels, strict=True):
+        if pose is not None and (not places or np.hypot(*(pose - places[-1][1])[:2]) >= WAY[0]):
+            places.append((scan, pose))
+    ways = [way for (a, p), (b, q) in pairwise(places) if (way := _nearer(a, p, b, q)) is not None]
+    ratio = float(np.median(ways)) if len(ways) >= WAYS else 0.0
+    return ratio if ratio > 0 else None
+
+
+def _nearer(a: Ranged, p: np.ndarray, b: Ranged, q: np.ndarray) -> float | None:
+    """By how much the ranges ahead became shorter from one scan at `p` to the next at `q`, over the way."""
+    if len(a.ranges) != len(b.ranges):
+        return None
+    step = q - p
+    way = float(np.hypot(step[0], step[1]))
+    if way > WAY[1] or abs(step[2]) > TURN:
+        return None
+    lead = float(np.arctan2(step[1], step[0]) - p[2] - a.T_robot_sensor[2])
+    off = se2.wrap_angle(a.angle_min + a.angle_increment * np.arange(len(a.ranges)) - lead)
+    change = _change(a.ranges, b.ranges, off)
+    return None if change is None else change / way
+
+
+def _change(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " n"], off: Float[np.ndarray, " n"]) -> float | None:
+    with np.errstate(invalid="ignore"):
+        both = (np.abs(off) <= AHEAD) & np.isfinite(a) & np.isfinite(b) & (a > 0) & (b > 0)
+        nearer = a[both] - b[both]
+    return float(np.quantile(nearer, SHARE)) if both.sum() >= 3 else None
+
+
+SAME = 0.3  # share of rows that bear the stamp of the one before, from which stamps are equal or rounded
+ENOUGH_ROWS = 20  # rows, of fewer nobody can say that their stamps are rounded
+LATE = 20  # rows by which one may be late and is sorted in
+AGAIN = 0.1  # by which a leap forward may differ from the one back that it takes back
+USUAL = 1.0  # [s] from row to row, where neither the log nor its other rows tell
+
+
+class Mended(NamedTuple):
+    """t: (n,) [s] ascending in the file's order. what: "equal", "rounded" or "back"; rows: how many it is so of."""
+
+    t: Float[np.ndarray, " n"]
+    what: str
+    rows: int
+
+
+def mended_stamps(
+    t: Float[np.ndarray, " n"], other: Bool[np.ndarray, " n"], step: float | None = None
+) -> Mended | None:
+    """Stamps in the file's order, None where those of the rows are right, or are right once sorted.
+
+    other: whether a row says something else than the row before; step: [s] from row to row as the log states it.
+    """
+    if len(t) < 3:
+        return None
+    d = np.diff(t)
+    same = (d == 0) & other[1:]
+    if (t == t[0]).all():
+        return Mended(t[0] + _usual(d, step) * np.arange(len(t)), "equal", int(same.sum())) if same.any() else None
+    if np.abs(np.argsort(t, kind="stable") - np.arange(len(t))).max() > LATE:
+        back = d < 0
+        return Mended(
+            t[0] + np.concatenate([[0.0], np.cumsum(_forward(np.where(same, _usual(d, step), d), step))]),
+            "back",
+            int(back.sum()),
+        )
+    if len(t) < ENOUGH_ROWS or same.mean() < SAME:
+        return None
+    return Mended(_spread(np.maximum.accumulate(t), step), "rounded", int(same.sum()))
+
+
+def _usual(d: Float[np.ndarray, " m"], step: float | None) -> float:
+    """[s] from row to row: as stated, or the median of those that go forward."""
+    if step is not None and np.isfinite(step) and step > 0:
+        return step
+    return float(np.median(d[d > 0])) if (d > 0).any() else USUAL
+
+
+def _forward(d: Float[np.ndarray, " m"], step: float | None) -> Float[np.ndarray, " m"]:
+    """The steps, those back, and leaps forward that take one of them back, replaced by the usual one."""
+    usual = _usual(d, step)
+    out = np.array(d)
+    for k in np.flatnonzero(d < 0).tolist():
+        out[k] = usual
+        near = slice(max(0, k - LATE), k + LATE)
+        leaps = (d[near] > 10 * usual) & (np.abs(d[near] + d[k]) <= AGAIN * -d[k])
+        out[near][leaps] = usual
+    return out
+
+
+def _spread(t: Float[np.ndarray, " n"], step: float | None) -> Float[np.ndarray, " n"]:
+    """Rows of one stamp spread evenly until the next; those of the last as far apart as rows usually are."""
+    first = np.flatnonzero(np.append(True, t[1:] > t[:-1]))
+    count = np.diff(np.append(first, len(t)))
+    gap = np.diff(t[first])
+    usual = step if step is not None and step > 0 else float(np.median(gap / count[:-1]))
+    each = np.append(np.minimum(gap / count[:-1], usual * 1.5), usual)
+    inside = np.arange(len(t)) - np.repeat(first, count)
+    return np.asarray(t + inside * np.repeat(each, count))
+
+
+def rows_by_scanner(keys: Sequence[tuple[bytes, str]]) -> list[list[int]]:
+    """The rows of each scanner and logger, in the file's order: clocks and order are theirs."""
+    groups: dict[tuple[bytes, str], list[int]] = {}
+    for k, key in enumerate(keys):
+        groups.setdefault(key, []).append(k)
+    return list(groups.values())

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..core.config import config
-from ..core.errors import ReaderError, UsageError
+from ..core.errors import UsageError
 from ..core.laser_log import LaserLog
 from .assemble import RawLog, RawScan, odometry_row
 from .carmen import no_return_limit
@@ -68,22 +68,18 @@ def read_scan_table(
     if rows and not any(map(is_number, rows[0][1])):
         del rows[0]
     places: dict[str, slice] = {}
-    for number, words in rows:
-        try:
-            places = places or _places(table, len(words))
-            if len(words) != len(rows[0][1]):
-                raise ValueError(f"expected {len(rows[0][1])} words, found {len(words)}")  # noqa: TRY301
-            values = {name: np.array(words[at], dtype=float) for name, at in places.items()}
-        except ValueError as error:
-            if number == rows[-1][0] and (log.truncated or not log.complete):
-                raw.dropped["last line cut short"] += 1
-                break
-            raise ReaderError(log.path, str(error), number) from None
+
+    def take(words: list[str]) -> None:
+        if not places:
+            places.update(_places(table, len(words)))
+        if len(words) != len(rows[0][1]):
+            raise ValueError(f"expected {len(rows[0][1])} words, found {len(words)}")
+        values = {name: np.array(words[at], dtype=float) for name, at in places.items()}
         raw.scans.append(_scan(values, len(raw.scans), table))
+
+    raw.read_rows(log, rows, take)
     if "t" not in places:
         raw.find("stamps-none", STEP)
-    if log.truncated:
-        raw.find("log-short", f"{log.path.name}: {log.truncated}", "what was readable is used")
     if "x" in places:
         raw.odometry_from = "poses"
         raw.odometry = [odometry_row(scan.t, scan.odometry) for scan in raw.scans if scan.odometry is not None]

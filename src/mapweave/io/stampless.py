@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..core.errors import ReaderError
 from ..core.laser_log import LaserLog
 from .assemble import RawLog, RawScan
 from .carmen import no_return_limit
@@ -28,26 +27,18 @@ def read_stampless(
     raw = RawLog(robot, str(log.path), log.log_hash, odometry_from="poses")
     raw.find("stamps-none", STEP)
     pose = None
-    rows = list(log.lines())
-    for number, line in rows:
-        words = line.split()
-        if not words:
-            continue
-        try:
-            values = np.array(words[1:], dtype=float)
-            if words[0] == "Odometry" and len(values) == 3:
-                pose = values
-            elif words[0] == "Laser" and len(values) > 2 and values[0] == len(values) - 1:
-                raw.scans.append(_scan(len(raw.scans) * STEP, values[1:], pose))
-            else:
-                raise ValueError(_expected(words))  # noqa: TRY301
-        except ValueError as error:
-            if number == len(rows) and (log.truncated or not log.complete):
-                raw.dropped["last line cut short"] += 1
-                break
-            raise ReaderError(log.path, str(error), number) from None
-    if log.truncated:
-        raw.find("log-short", f"{log.path.name}: {log.truncated}", "what was readable is used")
+
+    def take(words: list[str]) -> None:
+        nonlocal pose
+        values = np.array(words[1:], dtype=float)
+        if words[0] == "Odometry" and len(values) == 3:
+            pose = values
+        elif words[0] == "Laser" and len(values) > 2 and values[0] == len(values) - 1:
+            raw.scans.append(_scan(len(raw.scans) * STEP, values[1:], pose))
+        else:
+            raise ValueError(_expected(words))
+
+    raw.read_rows(log, log.rows(), take)
     if raw.scans:
         limit = min(FAR, no_return_limit(np.concatenate([scan.ranges for scan in raw.scans])))
         raw.scans = [replace(scan, range_max=limit) for scan in raw.scans]

@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ..core.errors import ReaderError
-from .files import is_number, recording_of
-from .packed import unpacked
+from .files import is_number, recording_of, unpacked
 
 LOOKED_AT = 1 << 16  # [bytes] at the beginning
 ROWS, SHOWN, WIDTH = 60, 2, 48  # rows looked at, rows shown, and characters of each

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from ..core.errors import ReaderError
 from ..core.laser_log import LaserLog
 from .assemble import UNSOUND, RawLog, RawScan, is_sound
 from .carmen import place_sensors, sensor_place
@@ -33,28 +32,22 @@ def read_wean(
     line, for a row that has not the numbers of its kind.
     """
     raw = RawLog(robot, str(log.path), log.log_hash, odometry_from="poses")
-    rows = [(number, words) for number, line in log.lines() if (words := line.split()) and words[0][0] != "#"]
-    for number, words in rows:
-        try:
-            values = _numbers(words)
-        except ValueError as error:
-            if number == rows[-1][0] and (log.truncated or not log.complete):
-                raw.dropped["last line cut short"] += 1
-                break
-            raise ReaderError(log.path, str(error), number) from None
+
+    def take(words: list[str]) -> None:
+        values = _numbers(words)
         if words[0] == "O":
             x, y, theta, t = values.tolist()
             raw.odometry.append((t, x / 100.0, y / 100.0, theta))
-        else:
-            pose, laser = _metres(values[:3]), _metres(values[3:6])
-            ranges, place, t = values[6:-1] / 100.0, sensor_place(pose, laser), float(values[-1])
-            scan = RawScan(t, ranges, None, FIRST, STEP, 0.0, NO_RETURN, place, odometry=pose)
-            if not is_sound(scan):
-                raw.dropped[UNSOUND] += 1
-                continue
+            return
+        pose, laser = _metres(values[:3]), _metres(values[3:6])
+        ranges, place, t = values[6:-1] / 100.0, sensor_place(pose, laser), float(values[-1])
+        scan = RawScan(t, ranges, None, FIRST, STEP, 0.0, NO_RETURN, place, odometry=pose)
+        if is_sound(scan):
             raw.scans.append(scan)
-    if log.truncated:
-        raw.find("log-short", f"{log.path.name}: {log.truncated}", "what was readable is used")
+        else:
+            raw.dropped[UNSOUND] += 1
+
+    raw.read_rows(log, [row for row in log.rows() if row[1][0][0] != "#"], take)
     place_sensors(raw, ["L"] * len(raw.scans))
     return raw.finish(mirrored=mirrored, sensor_pose=sensor_pose)
 

@@ -6,8 +6,10 @@ Nothing of a page may come from elsewhere, and what is posted has to come from t
 import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import cache
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.resources import files
 from ipaddress import ip_address
 from socket import gethostname
 from threading import BoundedSemaphore, Thread
@@ -171,3 +173,9 @@ def served_pages(
     finally:
         server.shutdown()
         server.server_close()
+
+
+@cache
+def viewport() -> str:
+    """`viewport(canvas, extent, draw)` in JavaScript: moving, zooming, measuring, a scale bar."""
+    return (files(__package__) / "viewport.js").read_text(encoding="utf-8")

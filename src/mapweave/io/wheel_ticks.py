@@ -6,7 +6,6 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
-from ..core.errors import ReaderError
 from ..core.laser_log import LaserLog
 from .assemble import RawLog, RawScan, odometry_row
 from .files import TextFormat, TextLog
@@ -33,25 +32,20 @@ def read_wheel_ticks(
     """
     raw = RawLog(robot, str(log.path), log.log_hash, odometry_from="ticks")
     ticks: list[tuple[float, float]] = []
-    rows = [(number, words) for number, line in log.lines() if (words := line.split())]
-    for number, words in rows:
-        try:
-            if len(words) != len(rows[0][1]):
-                raise ValueError(f"expected {len(rows[0][1])} tokens, found {len(words)}")  # noqa: TRY301
-            values = np.array(words[FIRST_RANGE:-1], dtype=float) / 1000.0
-            head = np.array(words[:4], dtype=float)
-            if not np.abs(head).max() < LARGEST:
-                raise ValueError(f"expected stamps and ticks under {LARGEST:g}")  # noqa: TRY301
-        except ValueError as error:
-            if number == rows[-1][0] and (log.truncated or not log.complete):
-                raw.dropped["last line cut short"] += 1
-                break
-            raise ReaderError(log.path, str(error), number) from None
+    rows = log.rows()
+
+    def take(words: list[str]) -> None:
+        if len(words) != len(rows[0][1]):
+            raise ValueError(f"expected {len(rows[0][1])} tokens, found {len(words)}")
+        values = np.array(words[FIRST_RANGE:-1], dtype=float) / 1000.0
+        head = np.array(words[:4], dtype=float)
+        if not np.abs(head).max() < LARGEST:
+            raise ValueError(f"expected stamps and ticks under {LARGEST:g}")
         ticks.append((float(head[2]), float(head[3])))
         step = OPENING / (len(values) - 1)
         raw.scans.append(RawScan(float(head[0]) * 1e-6, values, None, -OPENING / 2, step, NEAR, FAR, AHEAD))
-    if log.truncated:
-        raw.find("log-short", f"{log.path.name}: {log.truncated}", "what was readable is used")
+
+    raw.read_rows(log, rows, take)
     poses = dead_reckoning(np.array(ticks).reshape(-1, 2))
     raw.odometry = [odometry_row(scan.t, pose) for scan, pose in zip(raw.scans, poses, strict=True)]
     return raw.finish(mirrored=mirrored, sensor_pose=sensor_pose)

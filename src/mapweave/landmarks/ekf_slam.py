@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from ..core.records import Event, LandmarkPacket, Odometry, Sightings, Track, frozen
 from ..kernels.landmarks import ekf
 from ..kernels.landmarks.ekf import CANDIDATES
-from ..kernels.landmarks.ekf_apply_drive import apply_drive, clear
+from ..kernels.landmarks.ekf_drive import apply_drive, clear
 from ..kernels.landmarks.ekf_state import (
     HEAD,
     POSE,

@@ -26,8 +26,7 @@ from .config import (
     EkfSlamConfig,
 )
 from .ekf_replay import ReplayedLog, replay
-from .landmark_map import LocalMap, RobotSightings
-from .view import view_of
+from .landmark_map import LocalMap, RobotSightings, view_of
 from .without_odometry import Known, parts, replay_in_pieces
 
 MOST_SPEED = 1e3  # [m/s] beyond which a command is no command

@@ -17,7 +17,7 @@ from scipy import sparse
 from ..core import se2
 from ..core.config import config
 from ..core.gaussian import symmetrise
-from ..core.records import Scan, frozen
+from ..core.records import Scan, freeze, frozen
 from ..kernels.laser.beams import beam_lines
 
 LEAST_INTENSITY = 0.0  # returns at or under this bear no light
@@ -73,8 +73,7 @@ class IntensityCalibration:
     exponent_sd: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("knots", "log_gain", "residual_by_range", "cosines", "log_incidence", "gain_sd"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze(self, "knots", "log_gain", "residual_by_range", "cosines", "log_incidence", "gain_sd")
 
     @property
     def weight(self) -> float:

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int, Int8
 from ..core.errors import UsageError
 from ..core.findings import Finding, Unused
 from ..core.fixes import Fixes
-from ..core.records import Track, frozen
+from ..core.records import Track, freeze, frozen
 from ..core.rows import RowBuffer
 from .beam import IntensityCalibration
 from .odometry_calibration import OdometryCalibration
@@ -51,11 +51,9 @@ class GridMap:
     writer: ClassVar["Callable[[GridMap, Path], None]"]  # given by the room that writes files
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "origin", frozen(self.origin))
-        for name in ("hits", "passes"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.int32))
-        for name in ("feature", "weight"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.float32))
+        freeze(self, "origin")
+        freeze(self, "hits", "passes", dtype=np.int32)
+        freeze(self, "feature", "weight", dtype=np.float32)
         far = np.abs(self.origin).max() > FAR
         object.__setattr__(self, "mean", frozen(self.mean, np.float64 if far else np.float32))
 
@@ -138,13 +136,9 @@ class ScanRecords:
     information: Float[np.ndarray, "n 3 3"] | None = None
 
     def __post_init__(self) -> None:
-        if self.information is not None:
-            object.__setattr__(self, "information", frozen(self.information))
-        for name in ("t", "pose", "innovation", "n_eff"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        for name in ("beams", "matches"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.int64))
-        object.__setattr__(self, "resampled", frozen(self.resampled, np.bool_))
+        freeze(self, "information", "t", "pose", "innovation", "n_eff")
+        freeze(self, "beams", "matches", dtype=np.int64)
+        freeze(self, "resampled", dtype=np.bool_)
 
     def __len__(self) -> int:
         return len(self.t)

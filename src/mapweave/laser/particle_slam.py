@@ -11,8 +11,7 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..core.records import Event, Scan
-from ..kernels.laser.refine import ScanCost, refine
-from ..kernels.laser.resample import systematic
+from ..kernels.laser.refine import ScanCost, refine, systematic
 from ..kernels.laser.windows import NearestRule
 from .beam import STEERING, Beams, IntensityCalibration, beams
 from .config import (

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int, UInt8
 from ..core import se2
 from ..core.errors import DataError
 from ..core.gaussian import symmetrise
-from ..core.records import frozen, owned
+from ..core.records import freeze, frozen, owned
 from ..kernels.laser.place_refine import fit_normals, lay_onto_lines
 from ..kernels.laser.place_search import (
     COARSE,
@@ -86,7 +86,7 @@ class Window:
     turn: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "centre", frozen(self.centre))
+        freeze(self, "centre")
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..core import se2
-from ..core.records import frozen
+from ..core.records import freeze, frozen
 from ..core.se2 import wrap_angle
 from ..kernels.laser.pose_edges import edge_normal, edge_squares
 from ..solve import Factor, Huber, Information, Pattern, Problem, Solution, SolveConfig, minimise, wrapping
@@ -34,10 +34,8 @@ class PoseGraph:
     information: Float[np.ndarray, "m 3 3"]
 
     def __post_init__(self) -> None:
-        for name in ("pose", "measured", "information"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        for name in ("first", "second"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.int64))
+        freeze(self, "pose", "measured", "information")
+        freeze(self, "first", "second", dtype=np.int64)
 
     @classmethod
     def of(

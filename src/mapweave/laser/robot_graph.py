@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..core import se2
-from ..core.records import frozen
+from ..core.records import freeze, frozen
 from .beam import IntensityCalibration
 from .closures import Closure
 from .pose_graph import PoseGraph
@@ -30,9 +30,8 @@ class Revisits:
     closures: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("t", "step", "cov"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        object.__setattr__(self, "at", frozen(self.at, np.int64))
+        freeze(self, "t", "step", "cov")
+        freeze(self, "at", dtype=np.int64)
 
     def __len__(self) -> int:
         return len(self.t)
@@ -93,14 +92,11 @@ class RobotGraph:
     glass: Bool[np.ndarray, " m"] = field(default_factory=lambda: np.zeros(0, np.bool_))
 
     def __post_init__(self) -> None:
-        for name in ("t", "pose", "cov", "path", "step", "step_information", "points", "normals", "sensor"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        if self.q is not None:
-            object.__setattr__(self, "q", frozen(self.q))
+        freeze(self, "t", "pose", "cov", "path", "step", "step_information", "points", "normals", "sensor", "q")
         if not self.border:
             object.__setattr__(self, "border", ("",) * len(self.t))
-        object.__setattr__(self, "start", frozen(self.start, np.int64))
-        object.__setattr__(self, "lined", frozen(self.lined, np.bool_))
+        freeze(self, "start", dtype=np.int64)
+        freeze(self, "lined", dtype=np.bool_)
         glass = self.glass if len(self.glass) else np.zeros(len(self.points), np.bool_)
         object.__setattr__(self, "glass", frozen(glass, np.bool_))
 

@@ -17,8 +17,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from ..core.errors import DataError, ReaderError, UsageError
 from ..io.directory import read_json, write_json
-from .messages import check_name
-from .topics import Topics
+from .messages import Topics, check_name
 
 AUTHORITY, CERTIFICATE, KEY, ACCESS = "authority.pem", "certificate.pem", "key.pem", "access.json"
 SECRET = "authority-key.pem"  # noqa: S105  (the name of a file)

@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from ..core.findings import finding_of, unused_of
 from ..io.assemble import CLOSEST, LARGEST, LATEST, WIDEST
-from .columns import square, unpack, unpack_triangle
+from .columns import square, stretch, unpack, unpack_triangle
 from .messages import LARGEST as LARGEST_MESSAGE
 from .messages import (
     LONGEST_NAME,
@@ -38,7 +38,6 @@ from .messages import (
     Tile,
     is_name,
 )
-from .squeezed import stretch
 from .tiles import SIDE, is_tile
 
 MOST_MESSAGES = 1 << 40  # in a history: sixty thousand years of twice a second

@@ -23,16 +23,16 @@ WANDERING_FIRST = frozenset({4, 8, 16})  # messages after which it is, before
 class LandmarkRobot:
     """The estimate of one robot after the messages so far; with its log's end it is the one that a whole log gives."""
 
-    def __init__(self, header: Header, cfg: EkfSlamConfig, seed: int = 0) -> None:
+    def __init__(self, header: Header, cfg: EkfSlamConfig) -> None:
         self.record = LandmarkRecord.begin(header)
         self.t: float | None = None
         self.last = 0
-        self._cfg, self._seed = cfg, seed
+        self._cfg = cfg
         self._driven = False  # whether a row of its wheels is there
         self._wandering = not (cfg.odometry and header.odometry)
         self._submap: Submap | None = None
         self._counts: dict[str, int] = {}
-        self._runner = Runner(ekf_slam, self._cfg, seed)
+        self._runner = Runner(ekf_slam, self._cfg, 0)
 
     def add(self, message: Numbered) -> None:
         """The estimate with the rows of `message`."""
@@ -55,7 +55,7 @@ class LandmarkRobot:
             return
         if self._wandering:  # its wheels were late
             self._wandering = False
-            self._runner = Runner(ekf_slam, self._cfg, self._seed)
+            self._runner = Runner(ekf_slam, self._cfg, 0)
             log = without_impossible(self.record.log)
         for event in log.events():
             self._runner.push(event)
@@ -63,7 +63,7 @@ class LandmarkRobot:
 
     def _map_anew(self) -> None:
         log = self.record.log
-        mapped = local_map(log, self._cfg, self._seed) if len(log.sightings) else None
+        mapped = local_map(log, self._cfg, 0) if len(log.sightings) else None
         self._submap = mapped.submap if mapped is not None and mapped.submap.ids else None
 
     @property

@@ -8,6 +8,8 @@ stand where their steps put them, beside those of their robot that were woven la
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import takewhile
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -26,9 +28,10 @@ from .driven import DrivenSession
 from .isolation import in_words
 from .joined import Joined, into_one_frame
 from .laser_stream import LaserRecord
-from .messages import Header, Scans
+from .messages import Header, Scans, encode
 from .pair_search import PairSearch, PairTrial
 from .placed import ALONE, Placed
+from .sources import OFFICE, messages, open_source
 from .store import Store
 from .tile_mapper import Standing, TileMapper, UnmappableError
 from .tiles import TileKey
@@ -368,3 +371,27 @@ def _kept(mappers: list[TileMapper], robots: Iterable[str]) -> TileMapper | None
     if best is not None:
         mappers.remove(best)
     return best
+
+
+ROBOTS = ("r1", "r2")
+DRIVEN = 25.0  # [s] of their drives: long enough for their maps to be tried on each other
+
+
+def compile_kernels(path: Path) -> None:
+    """Two simulated robots are followed, tried on each other, solved and drawn once; `path` keeps what they tell."""
+    with Store(path, "a map") as store:
+        for name in ROBOTS:
+            told = messages(open_source(OFFICE, name, None), name, "run", 1.0)
+            begin, header = next(told)
+            some = takewhile(lambda one: one[0] < begin + DRIVEN, told)  # noqa: B023  (used at once)
+            store.put([(name, m.seq, encode(m)) for m in (header, *(message for _, message in some))])
+        team = LiveLaserTeam(store, LaserConfig(method="graph", threads=1), nobody)
+        while team.follow(dict.fromkeys(ROBOTS, 1 + max(store.numbers(ROBOTS[0])))):
+            pass
+        trial = team.trial()
+        if trial is not None:
+            team.search.decided(trial, trial.run())
+        weaving = team.weaving()
+        if weaving is not None:
+            team.take(weaving.run())
+        team.draw({})

@@ -15,8 +15,7 @@ import numpy as np
 
 from ..mapping.config import LaserConfig
 from ..mapping.merge import Merge
-from .beside import HUNG, beside
-from .isolation import in_words
+from .isolation import HUNG, beside, in_words
 from .joined import Joined
 from .laser_team import LiveLaserTeam, Starts, WovenTeam, nobody
 from .pair_search import PairTrial

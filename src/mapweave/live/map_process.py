@@ -21,22 +21,20 @@ from ..core.landmark_log import LandmarkLog
 from ..core.names import robot_name
 from ..landmarks.config import EkfSlamConfig
 from ..mapping.config import LaserConfig
-from .beside import beside
 from .columns import listed, square, triangle, unpack_triangle
 from .door import decode
 from .inbox import Inbox, Ledger
-from .isolation import in_words, without_culprits
+from .isolation import beside, in_words, without_culprits
 from .joined import Apart, Joined
 from .landmark_robot import mapped_again
 from .landmark_stream import LandmarkRecord, rows_told
 from .laser_team import Starts, WovenTeam, nobody
 from .laser_weaver import LaserWeaver
-from .messages import LARGEST, MapState, Numbers, RefusedError, RobotState, Snapshot, Tile, count, encode
+from .messages import LARGEST, LEVEL, MapState, Numbers, RefusedError, RobotState, Snapshot, Tile, Topics, count, encode
 from .placed import Placed
 from .shared_map import Fused, SharedMap, judged
 from .store import Store
 from .told import MOST_MAPS
-from .topics import LEVEL, Topics
 from .transport import (
     MOST_ANSWERS,
     OWN,

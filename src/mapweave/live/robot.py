@@ -9,9 +9,8 @@ from typing import Protocol, runtime_checkable
 
 from ..core.errors import DataError, UsageError
 from .door import decode
-from .messages import LARGEST, Correction, Header, MapState, Numbered, RefusedError, Snapshot, Status, encode
+from .messages import LARGEST, Correction, Header, MapState, Numbered, RefusedError, Snapshot, Status, Topics, encode
 from .store import Store
-from .topics import Topics
 from .transport import MOST_ANSWERS, SETTLE, Callback, Query, Sample, SampleKind, Session, answer, put, there_is
 
 STATUS_EVERY = 0.5  # [s]

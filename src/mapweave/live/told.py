@@ -12,12 +12,11 @@ from jaxtyping import Float, UInt8
 
 from ..core.errors import DataError
 from ..core.records import frozen
-from ..laser.occupancy import FREE, OCCUPIED, UNKNOWN, Occupancy
+from ..laser.occupancy_mapper import FREE, OCCUPIED, UNKNOWN, Occupancy
 from .columns import square
 from .door import decode
-from .messages import GoalMessage, MapState, RefusedError, Tile
+from .messages import EVERY, LEVEL, GoalMessage, MapState, RefusedError, Tile, Topics
 from .tiles import SIDE, UNSEEN
-from .topics import EVERY, LEVEL, Topics
 from .transport import Callback, Sample, Session, ask
 
 MOST_MAPS = 16  # map processes, or planners, that are heard; a new one takes the place of the one silent for longest

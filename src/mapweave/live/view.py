@@ -14,8 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
-from ..core.viewport import viewport
-from ..io.web import Answer, Asked, served_pages
+from ..io.web import Answer, Asked, served_pages, viewport
 from .messages import MapState, RobotState, Tile
 from .told import MOST_MAPS, Squares
 

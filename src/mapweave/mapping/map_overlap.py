@@ -13,10 +13,10 @@ from scipy.spatial import cKDTree
 from ..core import se2
 from ..core.errors import DataError
 from ..core.findings import Finding
-from ..core.records import frozen
+from ..core.records import freeze, frozen
 from ..core.rows import spread
 from ..kernels.laser.place_refine import fit_normals
-from ..kernels.mapping.views import Looks, judge_walls
+from ..kernels.walls.sight import Looks, judge_walls
 from ..laser.robot_graph import RobotGraph
 from ..laser.submaps import gathered
 from .submaps import PlaceSubmap, extent, make_submap, middles, way_of
@@ -83,7 +83,7 @@ class KeyframeMap:
     own: float = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "pose", frozen(self.pose))
+        freeze(self, "pose")
         if not len(self.pose) or len(self.points) != len(self.pose):
             raise DataError(f"map of {self.robot}: {len(self.pose)} keyframes and points of {len(self.points)}")
         steps = np.hypot(*np.diff(self.pose[:, :2], axis=0).T) if len(self.pose) > 1 else np.zeros(0)

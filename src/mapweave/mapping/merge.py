@@ -20,7 +20,7 @@ from ..core.rows import spread
 from ..laser.consistency import adjoint, cycle_squares, largest_clique
 from ..laser.place_search import refine
 from .map_overlap import KeyframeMap, seen_alike, wall_overlap
-from .merge_ambiguity import Grip, Pair, allowed, doubtful, grip, words
+from .merge_ambiguity import Grip, Grounds, Pair, allowed, doubtful, grip, words
 from .merge_search import (
     AGREE,
     AGREE_TURN,
@@ -41,7 +41,6 @@ from .merge_search import (
     same_place,
     whole_place,
 )
-from .merge_trust import Grounds
 
 SAID_SD, SAID_SD_TURN = 0.1, 0.03  # [m], [rad] of a transform that somebody tells,
 NUDGE, NUDGE_TURN = 0.5, 0.1  # [m], [rad] that walls may move it by

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Complex, Float, Int
 
 from ..core import se2
-from ..core.records import frozen
+from ..core.records import freeze, frozen
 from ..core.rows import spread
 from ..kernels.laser.place_refine import fit_normals
 from ..laser.wall_directions import BINS, spectrum
@@ -44,7 +44,7 @@ class PlaceSubmap:
     signature: Complex[np.ndarray, " f"]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "points", frozen(self.points))
+        freeze(self, "points")
         object.__setattr__(self, "q", None if self.q is None else frozen(self.q))
 
 

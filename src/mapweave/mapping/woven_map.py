@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from ..core import se2
 from ..core.fixes import place_of
-from ..core.records import Track, frozen
+from ..core.records import Track, freeze
 from ..laser.beam import IntensityCalibration
 from ..laser.laser_map import GridMap, LaserMap
 from ..laser.occupancy_mapper import keyframe_returns, render_returns
@@ -122,8 +122,8 @@ class WovenMap:
         return len(self.robots) > 1 or self.georeference is not None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "owner", frozen(self.owner, np.int64))
-        object.__setattr__(self, "t", frozen(self.t))
+        freeze(self, "owner", dtype=np.int64)
+        freeze(self, "t")
 
 
 def woven_maps(maps: Sequence[LaserMap], woven: Woven, resolution: float, unsure: float = 1.0) -> tuple[WovenMap, ...]:

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from ..core.walls import Walls
 from ..exploration.laser.config import WALL_TOLERANCE
 from ..exploration.laser.experiment import LaserExploreResult, LaserRunRecord, MapSnapshot, refusals
-from ..laser.occupancy import Occupancy
+from ..laser.occupancy_mapper import Occupancy
 from .exploration import laser_exploration_scene, save_gif, seeds_told
 from .html import Page
 from .style import (
@@ -72,7 +72,7 @@ def draw_explored(path: Path, run: LaserRunRecord) -> None:
         left = int(np.isnan(run.seen_at).sum())
         if left:
             ax.plot([], [], "s", color=WALL, label=f"never mapped ({left * h * h:.1f} m²)")
-        _walls(ax, run, 0.5, shade=TRUTH)
+        draw_lines(ax, run.place.world.segments.reshape(-1, 2, 2), TRUTH, 0.5, zorder=2)
         _frame(ax, run)
         fig.colorbar(shown, ax=ax, label="first known free at step", shrink=0.85)
         if left:
@@ -181,10 +181,6 @@ def _occupancy(ax: Any, grid: Occupancy) -> Any:
     extent = (x, x + cols * h, y, y + rows * h)
     look = {"extent": extent, "origin": "lower", "interpolation": "nearest", "zorder": 1}
     return ax.imshow(grid.state + 1, cmap=shades(SHADES), vmin=0, vmax=2, **look)
-
-
-def _walls(ax: Any, run: LaserRunRecord, width: float, label: str | None = None, shade: str = WALL) -> None:
-    draw_lines(ax, run.place.world.segments.reshape(-1, 2, 2), shade, width, zorder=2, label=label)
 
 
 def _frame(ax: Any, run: LaserRunRecord) -> None:

@@ -23,7 +23,7 @@ from ..core.gaussian import ellipse
 from ..core.names import robot_key
 from ..core.records import Track
 from ..core.se2 import act, interpolate, inverse
-from ..core.viewport import viewport
+from ..io.web import viewport
 from ..landmarks.landmark_map import LandmarkMap
 from ..mapping.woven_map import Georeference
 from ..team.team_map import TeamMap

@@ -162,11 +162,11 @@ def _between_powers(value: float) -> str:
     return f"{value:g}" if digit in {2, 5} else ""
 
 
-def name_points(ax: "Axes", names: Sequence[str], places: Float[np.ndarray, "n 2"], size: float = 8) -> None:
+def name_points(ax: "Axes", names: Sequence[str], places: Float[np.ndarray, "n 2"]) -> None:
     """Every name beside its point, where it covers no other in the finished figure; left out where there is no room."""
     for name, (x, y) in zip(names, places, strict=True):
         text = ax.annotate(
-            brief(name), (x, y), (5, 4), textcoords="offset points", fontsize=size, color=INK, zorder=6, gid=NAME
+            brief(name), (x, y), (5, 4), textcoords="offset points", fontsize=8, color=INK, zorder=6, gid=NAME
         )
         text.set_in_layout(False)
 
@@ -290,14 +290,14 @@ def rendered(fig: "Figure", dpi: int = 80) -> Image.Image:
     return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
 
 
-def legend_beside(ax: "Axes", rows: int, title: str | None = None) -> None:
+def legend_beside(ax: "Axes", rows: int) -> None:
     """A legend right of the axes, each name once, in columns of `rows`; none of so many that colours come again."""
     named: dict[str, Any] = {}
     for handle, name in zip(*ax.get_legend_handles_labels(), strict=True):
         named.setdefault(name, handle)
     if 0 < len(named) <= min(3 * rows, MOST_TOLD):
         columns = -(-len(named) // rows)
-        ax.legend([*named.values()], [*named], loc="upper left", bbox_to_anchor=(1.0, 1.0), title=title, ncols=columns)
+        ax.legend([*named.values()], [*named], loc="upper left", bbox_to_anchor=(1.0, 1.0), ncols=columns)
 
 
 def larger(typical: float, most: float) -> int:

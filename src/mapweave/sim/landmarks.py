@@ -11,7 +11,7 @@ from ..core import se2
 from ..core.config import config
 from ..core.errors import DataError, UsageError, expect_at_most
 from ..core.landmark_log import RobotRecording, TeamRecording
-from ..core.records import frozen
+from ..core.records import freeze
 from ..core.walls import Walls
 
 COMMAND_STEP = 0.02  # [s] between command rows
@@ -276,8 +276,7 @@ class Field:
     walls: Walls | None = None
 
     def __post_init__(self) -> None:
-        for name in ("lower", "upper", "landmarks", "starts"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze(self, "lower", "upper", "landmarks", "starts")
         if len(self.landmarks) == 0:
             raise DataError("the scenario has no landmarks: there is nothing to map")
         if len(self.starts) == 0:

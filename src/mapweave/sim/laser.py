@@ -12,10 +12,10 @@ from ..core import se2
 from ..core.config import config
 from ..core.fixes import Fixes, place_of
 from ..core.laser_log import LaserLog
-from ..core.records import Scan, Track, frozen
+from ..core.records import Scan, Track, freeze, frozen
 from ..core.se2 import representable_heading
 from ..core.walls import Walls
-from ..kernels.walls.raycast import cast
+from ..kernels.walls.segments import cast
 
 DOOR_PAINT = (0.2, 0.45)  # reflectance of doors, between which each has its own
 SCALE_LENGTH = 15.0  # [m] over which the scale error is correlated
@@ -162,8 +162,7 @@ class LaserWorld(Walls):
 
     def __post_init__(self) -> None:
         Walls.__post_init__(self)
-        if self.shown is not None:
-            object.__setattr__(self, "shown", frozen(self.shown))
+        freeze(self, "shown")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -266,8 +265,7 @@ class Route:
     curvature: Float[np.ndarray, " k"]
 
     def __post_init__(self) -> None:
-        for name in ("start", "length", "curvature"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze(self, "start", "length", "curvature")
 
     @property
     def total(self) -> float:

@@ -17,7 +17,7 @@ from ..core.errors import UsageError, expect_at_most
 from ..core.fixes import Fixes
 from ..core.laser_log import LaserLog
 from ..core.records import Scan, Track, frozen
-from ..kernels.walls.raycast import cast
+from ..kernels.walls.segments import cast
 from .landmarks import FRAME, START, TRUTH_STEP, Drive, camera_frames, command_rows, drive_team, scattered
 from .laser import (
     DriftConfig,

@@ -16,9 +16,8 @@ from .config import SWARM_LOOSE, SWARM_NEAREST, SWARM_SELDOM, SwarmConfig
 from .network import BearingNetwork
 from .observability import gauge_pins, normalise
 from .posterior import others_warnings, posterior
-from .resection import other_answers
 from .result import OtherAnswer, SwarmEstimate
-from .start import SwarmStart, prepare
+from .start import SwarmStart, other_answers, prepare
 
 LOWER = 1e-3  # of chi-square by which another answer is the better one
 

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from ..core.attitude import Headings
 from ..core.gaussian import symmetrise
-from ..core.records import frozen
+from ..core.records import freeze
 from ..solve import Information
 
 
@@ -26,7 +26,7 @@ class JointInformation:
     width: int
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "held", frozen(self.held, bool))
+        freeze(self, "held", dtype=bool)
 
     def covariance(self, E: Float[np.ndarray, "s k"]) -> Float[np.ndarray, "k k"]:
         """The covariance of the linear functions of the state whose gradients are the columns of E."""
@@ -93,8 +93,7 @@ class OtherAnswer:
     chi2: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "position", frozen(self.position))
-        object.__setattr__(self, "heading", frozen(self.heading))
+        freeze(self, "position", "heading")
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,11 +138,8 @@ class SwarmEstimate:
     others: tuple[OtherAnswer, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("position", "cov", "heading", "heading_var", "gauge_motions", "gauge_conditions"):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, frozen(getattr(self, name)))
-        for name in ("localisable", "anchor", "outlier"):
-            object.__setattr__(self, name, frozen(getattr(self, name), bool))
+        freeze(self, "position", "cov", "heading", "heading_var", "gauge_motions", "gauge_conditions")
+        freeze(self, "localisable", "anchor", "outlier", dtype=bool)
 
     @property
     def not_localisable(self) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 
 from ..core import se2
 from ..core.rows import spread
-from ..kernels.landmarks.relation import relation_normal
+from ..kernels.landmarks.submap import relation_normal
 from .config import PlacingConfig
 
 PLACING_HEADINGS = 72  # tried, of a full turn

@@ -18,7 +18,7 @@ from ...core.records import Track
 from ...evaluation.building import Building, known_at, share_free, survey_building, wall_scores
 from ...laser.closures import Closure
 from ...laser.laser_map import GridMap
-from ...laser.occupancy import Occupancy, of_grid, without_gaps
+from ...laser.occupancy_mapper import Occupancy, of_grid, without_gaps
 from ...laser.pose_graph import PoseGraph
 from ...sim.laser_worlds import LEAST
 from ..mission import ExplorationResult, Mission, RunScore, run_seeds

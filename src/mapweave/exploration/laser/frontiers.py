@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
-from ...laser.occupancy import Occupancy
+from ...laser.occupancy_mapper import Occupancy
 from ..ground import Ground, nearest_cells
 from .config import LaserPlan
 

@@ -14,7 +14,7 @@ from ...core import se2
 from ...core.records import Scan
 from ...evaluation.building import Building, known_at
 from ...kernels.walls.segments import sight_on_raster
-from ...laser.occupancy import Occupancy, of_grid
+from ...laser.occupancy_mapper import Occupancy, of_grid
 from ...mapping.keyframe_graph import START_SD
 from ...mapping.laser_team import LaserTeam
 from ...mapping.merge import Merge, merge_maps

@@ -11,9 +11,8 @@ from scipy import ndimage
 from ...core import se2
 from ...core.records import frozen
 from ...core.se2 import wrap_angle
-from ...kernels.exploration.arcs import arc_clearance, arc_points
 from ...kernels.exploration.tours import balanced_tours, improve_tours
-from ...kernels.exploration.wavefront import NO_LIMIT, STRAIGHT, spread
+from ...kernels.exploration.wavefront import NO_LIMIT, STRAIGHT, arc_clearance, arc_points, spread
 from ..ground import FAR, Ground
 from .config import ARCS_APART, LaserPlan
 from .frontiers import ROOMY, Frontier, MappedGround, disc_mask, frontiers, mapped_ground, pockets

@@ -3,8 +3,7 @@
 import numpy as np
 
 from .._jit import kernel
-from .ekf_apply_drive import apply_drive, coast, pose_covariance
-from .ekf_drive import drive
+from .ekf_drive import apply_drive, coast, drive, pose_covariance
 from .ekf_state import (
     BEARING_BIAS,
     HEAD,

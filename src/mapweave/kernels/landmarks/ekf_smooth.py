@@ -14,8 +14,7 @@ from .._jit import kernel
 from ..cells import cell_of
 from ..dense import add_product, product, put, solved, transposed
 from .ekf import trust
-from .ekf_apply_drive import COAST_STEP, clear
-from .ekf_drive import arc, drive
+from .ekf_drive import COAST_STEP, arc, clear, drive
 from .ekf_state import (
     BEARING_BIAS,
     HEAD,

@@ -6,7 +6,7 @@ import numpy as np
 
 from .._jit import kernel
 from ..cells import cell_of
-from .raycast import NONE, meet, meet_disc
+from .segments import NONE, meet, meet_disc
 
 
 class WallBuckets(NamedTuple):

@@ -13,8 +13,23 @@ from ..laser_feed import Packets, Row, Stamped, log_robot, told_until
 from ..messages import Closed, Header, Numbered, RefusedError
 from ..transport import Callback, HistoryConfig, Sample, SampleKind, Session, declare_advanced_subscriber
 from .assembly import NO_ODOMETRY, POSES, Assembly
-from .cdr import ODOMETRY, SCAN, TF, decode, type_hash
-from .wire import BRIDGE, NO_HASH, NODE, PUBLISHER, SUBSCRIPTION, Attachment, Entity, Qos, Topic, every_token
+from .wire import (
+    BRIDGE,
+    NO_HASH,
+    NODE,
+    ODOMETRY,
+    PUBLISHER,
+    SCAN,
+    SUBSCRIPTION,
+    TF,
+    Attachment,
+    Entity,
+    Qos,
+    Topic,
+    decode,
+    every_token,
+    type_hash,
+)
 
 Place = tuple[str, ...]  # namespaces, the outermost first
 

@@ -16,7 +16,7 @@ from ...core import se2
 from ...core.errors import DataError
 from ...io.mcap import header_message, message_type, nanoseconds, pose_message, rotation_message, transform_message
 from ...laser.laser_map import FREE_BELOW, OCCUPIED_ABOVE, GridMap
-from ..laser_robot import LaserRobot
+from ..driven import LaserRobot
 from ..robot import Listeners
 from ..told import LiveTeam, TeamGrid
 from ..transport import (
@@ -27,9 +27,8 @@ from ..transport import (
     Session,
     declare_advanced_publisher,
 )
-from .cdr import GOAL, GRID, POSE, TF, encode, type_hash
 from .feed import RosFeed
-from .wire import NO_HASH, PUBLISHER, Attachment, Entity, Qos, Topic
+from .wire import GOAL, GRID, NO_HASH, POSE, PUBLISHER, TF, Attachment, Entity, Qos, Topic, encode, type_hash
 
 MAP_EVERY = 3.0  # [s] by the clock
 MAP_SHARE = 20.0  # the time from map to map is at least so many times what drawing one takes
@@ -80,8 +79,8 @@ class RosView:
         self._shown: float | None = None
         self._drawn = -1
 
-    def show(self, driving: LaserRobot, *, last: bool = False) -> None:
-        """Pose, transform and map, each when it is due; last: the map at once, when scans came since."""
+    def show(self, driving: LaserRobot) -> None:
+        """Pose, transform and map, each when it is due."""
         if driving.t is None or self._feed.robot is None or self._feed.member is None:
             return
         if self._map is None:
@@ -93,7 +92,7 @@ class RosView:
         if now >= self._next_tf:
             self._next_tf = now + TF_EVERY
             self._tell_transform(driving)
-        if (last or now >= self._next_map) and driving.record.scans != self._drawn:
+        if now >= self._next_map and driving.record.scans != self._drawn:
             self._drawn = driving.record.scans
             self._tell_map(driving)
             took = time.monotonic() - now

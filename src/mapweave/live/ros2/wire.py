@@ -1,4 +1,4 @@
-"""How a ROS graph is put on Zenoh: keys of topics, liveliness tokens, attachments.
+"""How a ROS graph is put on Zenoh: keys of topics, liveliness tokens, attachments; messages as CDR bytes and back.
 
 By rmw_zenoh, as its design document says: a topic's key is `<domain>/<topic>/<type>/<type hash>`. Every node, publisher
 and subscription holds a token `@ros2_lv/<domain>/<session>/<node>/<entity>/<kind>/<enclave>/<namespace>/<name>`, those
@@ -14,8 +14,14 @@ import hashlib
 import re
 import struct
 from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
 
-from ..messages import RefusedError
+from rosbags.serde import SerdeError
+from rosbags.typesys import TypesysError
+
+from ...io.mcap import STORE
+from ..messages import LARGEST, RefusedError
 
 SPACE = "@ros2_lv"
 NODE, PUBLISHER, SUBSCRIPTION = "NN", "MP", "MS"
@@ -192,3 +198,36 @@ def _mangled(name: str) -> str:
 
 def _plain(name: str) -> str:
     return name.replace("%", "/")
+
+
+SCAN = "sensor_msgs/msg/LaserScan"
+ODOMETRY = "nav_msgs/msg/Odometry"
+TF = "tf2_msgs/msg/TFMessage"
+GRID = "nav_msgs/msg/OccupancyGrid"
+GOAL = "geometry_msgs/msg/PoseStamped"
+POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+BROKEN = (
+    *(SerdeError, TypesysError, struct.error, ValueError, LookupError, TypeError, AttributeError, AssertionError),
+    *(ArithmeticError, RuntimeError, MemoryError),
+)
+
+
+@cache
+def type_hash(kind: str) -> str:
+    """The hash of a message's definition as REP 2016 has it: the same from ROS 2 Iron on."""
+    return str(STORE.hash_rihs01(kind))
+
+
+def decode(payload: bytes, kind: str) -> Any:
+    """The message; raises RefusedError for bytes that are none of that type, or too many."""
+    if len(payload) > LARGEST:
+        raise RefusedError("oversized", f"{kind} of {len(payload)} bytes, at most {LARGEST}")
+    try:
+        return STORE.deserialize_cdr(payload, kind)
+    except BROKEN as error:
+        detail = " ".join(str(error).split())[:80] or type(error).__name__
+        raise RefusedError("malformed", f"no {kind} in {len(payload)} bytes: {detail}") from None
+
+
+def encode(message: Any, kind: str) -> bytes:
+    return bytes(STORE.serialize_cdr(message, kind))

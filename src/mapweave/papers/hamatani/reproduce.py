@@ -619,12 +619,6 @@ def reproduce_hamatani(
         The folder to write: tables, figures, claims and how they came out; an earlier result there is replaced whole.
     quick
         3 trials a cell, not the paper's 10; what lies beyond it as often (False).
-    seed
-        Of everything drawn at random (0).
-    force
-        Write into `out` even when something other than a result stands there (False).
-    on_progress
-        Called as `on_progress(stage, done, total)`.
 
     Raises
     ------

@@ -545,14 +545,8 @@ def reproduce_hara(
         The folder to write: tables, figures, claims and how they came out; an earlier result there is replaced whole.
     quick
         2 loops, 64 particles and 6 starts, not 6, 512 and 100 (False).
-    seed
-        Of everything drawn at random (0).
-    force
-        Write into `out` even when something other than a result stands there (False).
     loop
         The ring of corridor that is driven (the paper's kind).
-    on_progress
-        Called as `on_progress(stage, done, total)`.
 
     Raises
     ------

@@ -443,12 +443,6 @@ def reproduce_kojima(
         The folder to write: tables, figures, claims and how they came out; an earlier result there is replaced whole.
     quick
         20 simulated worlds and 25 trials without names, not 200 and 100 (False).
-    seed
-        Of everything drawn at random (0).
-    force
-        Write into `out` even when something other than a result stands there (False).
-    on_progress
-        Called as `on_progress(stage, done, total)`.
 
     Raises
     ------

@@ -611,16 +611,8 @@ def reproduce_yuan(
         The folder to write: tables, figures, claims and how they came out; an earlier result there is replaced whole.
     quick
         The 30 runs of Table 1, 5 of what other claims are judged by, 2 of the rest and fewer constants changed (False).
-    seed
-        Of everything drawn at random (0).
     jobs
         How many runs are worked on at once, in processes of our own (1).
-    force
-        Write into `out` even when something other than a result stands there (False).
-    executor
-        Any `concurrent.futures.Executor` in place of `jobs`.
-    on_progress
-        Called as `on_progress(stage, done, total)`.
 
     Raises
     ------

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 from ...core.config import config
 from ...core.errors import ConfigError
-from ...core.records import frozen
+from ...core.records import freeze
 from ...solve import Solution
 
 TRACK_MERGE = 0.002  # [s]; stamps closer than this are one instant
@@ -56,9 +56,7 @@ class RobotTrajectory:
     heading: Float[np.ndarray, " k"] | None = None
 
     def __post_init__(self) -> None:
-        for name in ("t", "position", "cov", "heading"):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze(self, "t", "position", "cov", "heading")
 
 
 def without_outliers(

@@ -10,7 +10,7 @@ from ...core import se2
 from ...core.bearings import BearingTable
 from ...core.errors import DataError
 from ...core.gaussian import joseph, solve_psd, symmetrise
-from ...core.records import Odometry, frozen
+from ...core.records import Odometry, freeze
 from ...core.workers import Progress, no_progress
 from ...solve import Problem, Solution, SolveConfig, minimise
 from .. import bearing as model
@@ -122,8 +122,7 @@ class MotionState:
     P: Float[np.ndarray, "s s"]
 
     def __post_init__(self) -> None:
-        for name in ("x", "P"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze(self, "x", "P")
 
 
 def filtered(

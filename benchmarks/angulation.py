@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ..core.bearings import BearingTable, unit
-from ..core.errors import ReaderError
-from .table import lines, numbers
+from mapweave.core.bearings import BearingTable, unit
+from mapweave.core.errors import ReaderError
+from mapweave.io.table import lines, numbers
 
 NAME = re.compile(r"\(X([0-9.]+),Y([0-9.]+)\)\.csv$")
 
