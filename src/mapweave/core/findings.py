@@ -706,8 +706,8 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
         ),
         "placed-anew": FindingKind(
             "note",
-            "its own map did not fit the others', {value:.0f} of {all:.0f} sightings place it",
-            "A filter that believed wrong sightings early was left out; its log was not.",
+            "no map of its own fits the others', {value:.0f} of {all:.0f} sightings place it",
+            "A filter that believed wrong sightings early was left out, or the robot saw no landmark; its log was not.",
             "Nothing.",
         ),
         "rooms-tied": FindingKind(
