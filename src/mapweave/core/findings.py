@@ -780,6 +780,20 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "Ranges tell where a standing robot is and not which way it faces; its heading is drawn as it began.",
             "Drive it a metre or more.",
         ),
+        "odometry-denied": FindingKind(
+            "note",
+            "ranges tell another motion than its odometry; its track is cut there",
+            "The robot was carried, its wheels slipped, or its odometry began anew. What came before and after is laid "
+            "by ranges alone.",
+            "Look at its odometry, unless it was carried.",
+        ),
+        "odometry-unlike": FindingKind(
+            "doubtful",
+            "ranges tell another motion than its odometry {value:.0f} times",
+            "Odometry that has to be cut so often has another scale or unit, or is of another robot or time, and bends "
+            "what lies between.",
+            "Look at its odometry.",
+        ),
         "range-dropped": FindingKind(
             "note",
             "{n:.0f} ranges were dropped: {value}",
