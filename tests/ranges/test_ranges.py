@@ -110,6 +110,28 @@ def test_robots_and_beacons_are_placed_from_no_guess_with_bias_and_noise_of_ever
         assert radio.far / radio.n == pytest.approx(nlos, abs=0.06)
 
 
+@pytest.mark.parametrize("anew", [False, True])
+def test_a_robot_that_was_carried_or_whose_odometry_began_anew_is_laid_by_its_ranges(anew):
+    still = ranged(TWO, BEACONS)
+    half = len(TWO["robot1"].t) // 2
+    there = TWO["robot1"].pose.copy()
+    told = still.odometry["robot1"].pose.copy()
+    if anew:
+        told[half:] = se2.between(told[half], told[half:])
+    else:
+        there[half:, :2] += (2.5, -2.0)
+    truth = {**TWO, "robot1": replace(TWO["robot1"], pose=there)}
+    odometry = {**still.odometry, "robot1": replace(still.odometry["robot1"], pose=told)}
+    net = network_of(replace(ranged(truth, BEACONS), odometry=odometry))
+    found = estimate(net)
+    (k,) = found.denied
+    assert net.t[net.motions.first[k]] == pytest.approx(truth["robot1"].t[half], abs=0.8)
+    off = misses(net, found, truth, BEACONS)
+    assert max(off[name] for name in ("robot2", "beacon1", "beacon2")) < 0.1
+    assert off["robot1"] < 0.3  # the instants beside the cut may be told by the wrong side
+    assert not estimate(network_of(still)).denied
+
+
 def test_a_beacon_beside_a_straight_way_is_placed_and_its_mirror_image_is_told():
     truth = {"robot1": driven(LINE, (0.0, 0.0, 0.0))}
     part = estimate(network_of(ranged(truth, {"beacon1": (2.0, 3.0)}))).parts[0]

@@ -1,5 +1,7 @@
 """Wrong sightings are found, the rest is used to the full, and what cannot be trusted says so."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -161,3 +163,12 @@ def test_robots_whose_right_sightings_do_not_outnumber_the_wrong_are_named():
     assert unsupported(net, outlier).tolist() == []
     outlier[mine[:2]] = True
     assert unsupported(net, outlier).tolist() == [3]
+
+
+def test_an_anchor_that_is_said_to_stand_elsewhere_makes_no_reliable_answer():
+    net, _ = simulated(3, robots=30, sigma=1.0)
+    assert locate(net, ROBUST).reliable
+    for k in net.anchors:
+        moved = locate(replace(net, anchors={**net.anchors, k: net.anchors[k] + 15.0}), ROBUST)
+        assert not moved.reliable
+        assert "prove nothing" in moved.warnings[0]

@@ -1,6 +1,7 @@
 """Robots and beacons placed by ranges: from a graph of anybody's, and `map` of recordings of ranging radios."""
 
 import tempfile
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -45,6 +46,7 @@ OFF_SHARE = 0.02  # of all windows, from which it is told: one may be off by cha
 LEAST = 3  # ranges of a window
 WORSE = 2.0  # times what ranges say of their noise, from which it is told
 MOSTLY = 0.5  # share of ranges rejected from which nothing is believed
+CARRIED = 2  # times that ranges deny a robot's odometry, beyond which it is no odometry of that robot
 TOLD_SHARE = 0.02  # of all ranges rejected, from which it is told
 
 
@@ -266,6 +268,13 @@ def _result(
     log: RangeLog | None = None,
 ) -> RangeResult:
     found, georeference = estimate(net), None
+    steps = [(int(net.motions.first[k]), int(net.motions.second[k])) for k in found.denied]
+    denied = [
+        Finding("odometry-denied", net.robots[net.owner[i]], (float(net.t[i]), float(net.t[j]))) for i, j in steps
+    ]
+    often = Counter(cut.robot for cut in denied)
+    denied += [Finding("odometry-unlike", robot, value=n) for robot, n in often.items() if n > CARRIED]
+    net = net.without(found.denied)
     watch.lap("solve")
     if log is not None and log.fixes:
         laid = laid_ranges(net, found, log.odometry, log.fixes)
@@ -274,7 +283,7 @@ def _result(
     if not found.parts or not all(np.isfinite(part.pose).all() for part in found.parts):
         raise EstimateError(f"{source}: the solve ended with numbers that are not finite")
     maps = tuple(_team(net, part, found) for part in found.parts)
-    told = (*findings, *_findings(net, found), *(loose for team in maps for loose in way_loose(team)))
+    told = (*findings, *denied, *_findings(net, found), *(loose for team in maps for loose in way_loose(team)))
     timing = {k: round(v, 4) for k, v in watch.seconds.items()}
     return RangeResult(maps, net, found, told, source, tuple(unused), timing, georeference=georeference)
 

@@ -713,8 +713,8 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
         ),
         "placed-anew": FindingKind(
             "note",
-            "its own map did not fit the others', {value:.0f} of {all:.0f} sightings place it",
-            "A filter that believed wrong sightings early was left out; its log was not.",
+            "no map of its own fits the others', {value:.0f} of {all:.0f} sightings place it",
+            "A filter that believed wrong sightings early was left out, or the robot saw no landmark; its log was not.",
             "Nothing.",
         ),
         "rooms-tied": FindingKind(
@@ -786,6 +786,20 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "its heading is not observed: it stood still",
             "Ranges tell where a standing robot is and not which way it faces; its heading is drawn as it began.",
             "Drive it a metre or more.",
+        ),
+        "odometry-denied": FindingKind(
+            "note",
+            "ranges tell another motion than its odometry; its track is cut there",
+            "The robot was carried, its wheels slipped, or its odometry began anew. What came before and after is laid "
+            "by ranges alone.",
+            "Look at its odometry, unless it was carried.",
+        ),
+        "odometry-unlike": FindingKind(
+            "doubtful",
+            "ranges tell another motion than its odometry {value:.0f} times",
+            "Odometry that has to be cut so often has another scale or unit, or is of another robot or time, and bends "
+            "what lies between.",
+            "Look at its odometry.",
         ),
         "range-dropped": FindingKind(
             "note",

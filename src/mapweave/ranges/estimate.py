@@ -5,6 +5,9 @@ least it has. Ranges past a wall or a person are
 too long by metres: they fade by a redescending kernel, and are counted. Errors of ranges last (they follow how antennas
 face each other), so that a range counts by as much less as they last longer than a range.
 
+A robot that was carried, whose wheels slipped or whose odometry began anew is cut where ranges say so, when that
+explains them better: what came before and after are two bodies.
+
 Position fixes are one more factor of the same problem, which then lies in their world.
 """
 
@@ -16,6 +19,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..core import se2
+from ..core.rows import spread
 from ..solve import (
     Cauchy,
     Factor,
@@ -42,7 +46,7 @@ from .factors import (
 )
 from .fixes import FAR2, Laid, Sights, lay_among
 from .network import Bodies, Motions, Priors, RangeNetwork, Ranges, bodies_of
-from .start import LEAD, BodyLayout, lay_out
+from .start import LEAD, LEAST, ROUGH, BodyLayout, lay_out, placements
 
 FIRST_SD = 0.15  # [m] noise of a range before residuals tell it
 LEAST_SD = 0.01  # [m] noise of a range, whatever its residuals say: radios count in centimetres
@@ -62,6 +66,11 @@ ROUNDS: tuple[Kernel | None, ...] = (WIDE, TIGHT, TIGHT, None, None)
 AMONG_FIXES: tuple[Kernel | None, ...] = (WIDE, None)  # the same, where ranges alone have told the noise
 LEFT_OUT = 1e6  # times its sd: a range that is left out
 STRAIGHT = 0.3  # of how far a path spreads, by which it differs from its mirror image: odometry bends straight ones
+MOST_CUTS = 6  # of tracks where ranges deny their odometry, a whole solve each
+CUTS = 12  # times spread over a track at which it is tried to be cut,
+LOOKED = 60  # by so many ranges before and after
+SHORT, SHORT_SHARE = 0.3, 0.02  # [m] by which ranges are too short, which no wall makes them, and their share to look
+CUT_GAIN = 0.02  # share of a track's ranges that must agree with its two parts beside those that agree with the whole
 MOST_TIED = 4  # layouts that are worked out whole, to see which explains the ranges best
 SOLVE = SolveConfig(max_iterations=30, damping=1e-4, step_tolerance=1e-5, cost_tolerance=1e-6)
 
@@ -105,7 +114,8 @@ class PlacedPart:
 @dataclass(frozen=True, slots=True)
 class RangeEstimate:
     """parts: the largest first; residual: (k,) [m] of each range, bias off, NaN where an end is not placed; far: (k,)
-    which went another way; loose: robots and beacons that ranges do not place, and why.
+    which went another way; loose: robots and beacons that ranges do not place, and why; cost: as of a layout, of all
+    parts; denied: motions of the network that ranges deny, which are not used.
     """
 
     parts: tuple[PlacedPart, ...]
@@ -113,6 +123,8 @@ class RangeEstimate:
     residual: Float[np.ndarray, " k"]
     far: Bool[np.ndarray, " k"]
     loose: dict[str, str]
+    cost: float = 0.0
+    denied: tuple[int, ...] = ()
 
 
 class LaidParts(NamedTuple):
@@ -125,12 +137,70 @@ class LaidParts(NamedTuple):
 
 
 def estimate(net: RangeNetwork) -> RangeEstimate:
+    """All trajectories and beacons of `net`, in as many parts as ranges leave, without the motions that ranges deny."""
+    found = _worked_out(net)
+    for _ in range(MOST_CUTS):
+        k = _denied(net.without(found.denied), found)
+        if k is None:
+            break
+        cut = (*found.denied, *np.flatnonzero((net.motions.first == k) & (net.motions.second == k + 1)).tolist())
+        again = _worked_out(net.without(cut))
+        if again.cost > found.cost - LEAD or len(again.parts) > len(found.parts) or again.loose.keys() - found.loose:
+            break
+        found = replace(again, denied=cut)
+    return found
+
+
+def _denied(net: RangeNetwork, found: RangeEstimate) -> int | None:
+    """The node after which ranges deny what odometry says most clearly: both sides fit it, and not as one."""
+    bodies, r = bodies_of(net), net.ranges
+    pose = np.full((len(net.owner), 3), np.nan)
+    for part in found.parts:
+        pose[part.nodes] = part.pose
+    most, where = 0, None
+    used = np.flatnonzero(np.isfinite(found.residual))
+    for body in np.unique(bodies.of[~net.is_beacon]).tolist():
+        ours = np.stack([bodies.of[r.a[used]], bodies.of[r.b[used]]]) == body
+        rows, by_a = used[ours[0] ^ ours[1]], ours[0][ours[0] ^ ours[1]]
+        order = np.argsort(r.t[rows], kind="stable")
+        rows, by_a = rows[order], by_a[order]
+        if not len(rows) or (found.residual[rows] < -SHORT).mean() <= SHORT_SHARE:
+            continue
+        node, lever = np.where(by_a, r.a[rows], r.b[rows]), np.where(by_a[:, None], r.lever_a[rows], r.lever_b[rows])
+        other, there = np.where(by_a, r.b[rows], r.a[rows]), np.where(by_a[:, None], r.lever_b[rows], r.lever_a[rows])
+        p, q = se2.act(bodies.pose[node], lever), se2.act(pose[other], there)
+        alone = int(_agreeing(p, q, r.z[rows], slice(None)).sum())
+        for k in spread(len(rows), CUTS + 2)[1:-1].tolist():
+            if min(k, len(rows) - k) < 2 * LEAST:
+                continue
+            before, after = (_agreeing(p, q, r.z[rows], part) for part in (slice(k), slice(k, None)))
+            agree = np.cumsum(before) + after.sum() - np.cumsum(after)  # cut after each range
+            at = int(np.argmax(agree[:-1]))
+            gain = int(agree[at]) - alone
+            if gain > max(most, CUT_GAIN * len(rows)) and bodies.of[(node[at] + 1) % len(bodies.of)] == body:
+                most, where = gain, int(node[at])
+    return where
+
+
+def _agreeing(
+    p: Float[np.ndarray, "k 2"], q: Float[np.ndarray, "k 2"], z: Float[np.ndarray, " k"], part: slice
+) -> Bool[np.ndarray, " k"]:
+    """Which ranges agree with where those of `part` place the body best."""
+    rows = np.arange(len(z))[part]
+    looked = rows[spread(len(rows), LOOKED)]
+    T = placements(q[looked], p[looked], z[looked], turns=True)[0].T
+    off = z - np.hypot(*(se2.act(T, p) - q).T)
+    return np.asarray(np.abs(off - np.median(off[looked])) < 3 * ROUGH)
+
+
+def _worked_out(net: RangeNetwork) -> RangeEstimate:
     """All trajectories and beacons of `net`, in as many parts as ranges leave."""
     bodies = bodies_of(net)
     residual, far = np.full(len(net.ranges), np.nan), np.zeros(len(net.ranges), bool)
     parts: list[PlacedPart] = []
     radios: list[Radio] = []
     loose: dict[int, str] = {}
+    cost = 0.0
     waiting = list(range(len(bodies.turns)))
     robots = set(np.unique(bodies.of[~net.is_beacon]).tolist())
     while robots & set(waiting):
@@ -145,6 +215,7 @@ def estimate(net: RangeNetwork) -> RangeEstimate:
             if s.cost < best.cost + LEAD and all(_differ(pose, other) for other in (best.pose, *others)):
                 others.append(pose)
         parts.append(best.part(tuple(others)))
+        cost += best.cost
         radios += best.radios()
         residual[best.rows], far[best.rows] = best.noise.residual, best.noise.far
         loose |= start.loose
@@ -155,7 +226,7 @@ def estimate(net: RangeNetwork) -> RangeEstimate:
     lost = {net.everybody[net.owner[np.argmax(bodies.of == body)]] for body in waiting}
     return RangeEstimate(
         tuple(parts), tuple(radios), residual, far,
-        {name: told.get(name, "no ranges to anybody") for name in net.everybody if name in apart | lost},
+        {name: told.get(name, "no ranges to anybody") for name in net.everybody if name in apart | lost}, cost,
     )  # fmt: skip
 
 
@@ -198,6 +269,8 @@ def laid_parts(
             for name in net.everybody
             if name not in main
         },
+        found.cost,
+        found.denied,
     )
     return LaidParts(every, part, solved.laid, solved.cost)
 

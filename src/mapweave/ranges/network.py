@@ -4,8 +4,8 @@ A node is a pose of a robot or a beacon; a beacon is a pose whose heading means 
 poses at instants, with ranges between them reached along the odometry.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -95,6 +95,11 @@ class RangeNetwork:
     def is_beacon(self) -> np.ndarray:
         """Which nodes are beacons, (n,)."""
         return np.asarray(self.owner >= len(self.robots))
+
+    def without(self, motions: Sequence[int]) -> "RangeNetwork":
+        """The same without some of its motions."""
+        m, keep = self.motions, np.delete(np.arange(len(self.motions.first)), motions)
+        return replace(self, motions=Motions(m.first[keep], m.second[keep], m.z[keep], m.cov[keep]))
 
     def track(self, k: int, pose: Float[np.ndarray, "n 3"], cov: np.ndarray | None = None, frame: str = "map") -> Track:
         """The trajectory of robot k along `pose`, of all nodes, where that is a number; of equal stamps the last."""

@@ -84,9 +84,7 @@ def _laid_from(first: int, net: RangeNetwork, bodies: Bodies, members: Sequence[
     """What comes of placing the others one by one; frames are in that of `first`, the best layout first."""
     r = net.ranges
     of_a, of_b = bodies.of[r.a], bodies.of[r.b]
-    R_a, R_b = se2.rotation(bodies.pose[r.a, 2]), se2.rotation(bodies.pose[r.b, 2])
-    p_a = bodies.pose[r.a, :2] + (R_a @ r.lever_a[..., None])[..., 0]
-    p_b = bodies.pose[r.b, :2] + (R_b @ r.lever_b[..., None])[..., 0]
+    p_a, p_b = se2.act(bodies.pose[r.a], r.lever_a), se2.act(bodies.pose[r.b], r.lever_b)
 
     def between(body: int, layout: BodyLayout) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Known ends, own ends in the body's frame, and ranges."""

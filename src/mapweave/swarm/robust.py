@@ -85,14 +85,15 @@ def relocated(net: BearingNetwork, x: Float[np.ndarray, " s"], limit: float) -> 
 def unsupported(net: BearingNetwork, outlier: Bool[np.ndarray, " m"]) -> Int[np.ndarray, " k"]:
     """Robots with sightings called wrong whose other sightings do not outnumber them, or only just give a position.
 
-    What was called wrong there could as well be right: nothing is left over that tells.
+    What was called wrong there could as well be right: nothing is left over that tells. And anchors most of whose
+    sightings were: they may stand elsewhere than was said.
     """
     both = np.concatenate([net.observer, net.target])
     wrong = np.bincount(both[np.concatenate([outlier, outlier])], minlength=len(net))
     right = np.bincount(both, minlength=len(net)) - wrong
     unknown = factors.width(net)
-    few = (right <= wrong) | ((net.dim - 1) * right <= unknown)
-    return np.flatnonzero((wrong > 0) & few & ~net.is_anchor)
+    few = np.where(net.is_anchor, right < wrong, (right <= wrong) | ((net.dim - 1) * right <= unknown))
+    return np.flatnonzero((wrong > 0) & few)
 
 
 def _share(net: BearingNetwork, wrong: Bool[np.ndarray, " m"]) -> Float[np.ndarray, " n"]:

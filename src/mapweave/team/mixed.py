@@ -340,10 +340,13 @@ def regained(
     placed = {robot for team in maps for robot in team.robots}
     counted = {log.log_hash for log in logs if log.robot in placed}
     by = {log.robot: log for log in logs if log.robot in placed or log.log_hash not in counted}
-    if not maps or not len(maps[0].landmarks):
-        return tuple(maps), ()
+    if not maps:
+        return (), ()
     cfg = replace(placing, loose_share=REGAINED_SHARE, window=REGAINED_WINDOW)
     largest = [k for k, team in enumerate(maps) if len(team.robots) == len(maps[0].robots) and len(team.landmarks)]
+    if not largest:  # nobody knows a landmark: who saw most of the others begins
+        seen = [sum(len(all_seen(by[robot])) for robot in team.robots if robot in by) for team in maps]
+        largest = [int(np.argmax(seen))]
     tried = [(k, *_with_the_lost(_body(maps[k]), by, labels, smoothing, cfg)) for k in largest]
 
     def agree(body: Body) -> int:

@@ -58,7 +58,7 @@ PLACING_UNSURE = 1.0  # [m] sd of a landmark that bearings alone place, when the
 PLACING_GUESSED = 3.0  # [rad^2] variance of a heading from which a pose is a guess between pieces of a map
 WALLS_OFF = 3.0  # standard deviations of a tie by which walls may put a robot elsewhere and be believed
 
-LONGER = (2.0, 4.0)  # times as long a robot without wheels may be taken to stand, where it is sighted too rarely
+LONGER = (2.0, 4.0)  # times as long wheels are trusted, or a robot without is taken to stand, if sighted too rarely
 Labels = Mapping[str, Mapping[str, str]]
 
 
@@ -395,9 +395,9 @@ def _placed_next(
             continue
         for k, group in enumerate(groups):
             placed = _windows(group, log, wheel_track, logs, labels, cfg)
-            for longer in LONGER if placed is None and log.odometry is None else ():
-                still = replace(cfg, window_still=longer * cfg.window_still)
-                placed = placed or _windows(group, log, wheel_track, logs, labels, still)
+            for longer in LONGER if placed is None else ():
+                wide = replace(cfg, window=longer * cfg.window, window_still=longer * cfg.window_still)
+                placed = placed or _windows(group, log, wheel_track, logs, labels, wide)
             if placed is not None and (best is None or len(placed[0].anchors[log.robot]) > best[0]):
                 best = (len(placed[0].anchors[log.robot]), k, log, *placed)
     return None if best is None else best[1:]

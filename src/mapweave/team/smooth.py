@@ -43,7 +43,7 @@ from .config import (
 from .covariance import TeamCovariance, team_covariance
 from .factors import InterRobotEdge
 from .known import PlacePriors
-from .problem import TeamProblem, most_poses, team_problem, with_fewer_poses
+from .problem import TeamProblem, most_poses, seen_when, team_problem, with_fewer_poses
 from .robot_part import PARAMETERS, RobotPart
 from .team_map import TeamMap, way_loose
 
@@ -119,10 +119,12 @@ def smooth(
     own = {log.robot: log for log in logs}
     chosen = [own[robot] for robot in team.robots if robot in own]
     scans = scans or {}
+    seen_at = seen_when(chosen, team.robots) if cfg.robot_sightings else {}
+    tied = scans.keys() | {robot for robot, t in seen_at.items() if len(t) and own[robot].odometry is not None}
     chosen = [
         log
         for log in chosen
-        if (len(log.sightings) or len(log.bearings) or log.robot in scans) and len(team.tracks[log.robot].t)
+        if (len(log.sightings) or len(log.bearings) or log.robot in tied) and len(team.tracks[log.robot].t)
     ]
     if not chosen:
         return _kept(team, cfg, "nobody saw anything")
