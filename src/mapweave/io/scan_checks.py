@@ -365,7 +365,7 @@ PILE = 0.1  # share of values at the very top that stands for no return
 AHEAD = 0.35  # [rad] to either side of where the wheels lead
 WAY, TURN = (0.1, 1.0), 0.1  # [m] and [rad] by the wheels from one scan to the next looked at: straight on
 WAYS = 5  # that must tell
-UNITS = {"centimetres": 100.0, "millimetres": 1000.0}  # of which a metre holds so many
+UNITS = {"centimetres": 100.0, "millimetres": 1000.0, "inches": 39.37}  # of which a metre holds so many
 
 
 @runtime_checkable
@@ -401,8 +401,10 @@ def unit_of_ranges(scans: Sequence[Ranged], wheels: Sequence[np.ndarray | None])
         return None
     ratio = _ratio(scans, wheels)
     told = f"half of the ranges exceed {middle:.4g}"
-    for unit, factor in UNITS.items():
-        if ratio is not None and factor / ABOUT <= ratio <= factor * ABOUT:
+    if ratio is not None:
+        off = {unit: max(ratio / factor, factor / ratio) for unit, factor in UNITS.items()}
+        unit = min(off, key=lambda unit: off[unit])
+        if off[unit] <= ABOUT:
             return f"the ranges are in {unit}: {told}, and they change by {ratio:.3g} times the way of the wheels"
     return f"the ranges are in centimetres or millimetres: {told}" if middle > FARTHEST else None
 
