@@ -220,6 +220,48 @@ def test_what_a_setting_forbids_is_not_found():
     assert found(old, new, PlaceSearchConfig(least_score=1.01)) == []
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_where_it_is_known_about_how_a_submap_lies_it_is_found_there_and_nowhere_else(seed):
+    points, rng = room(seed), np.random.default_rng(seed)
+    a, b = np.array([2.0, 1.0, 0.4]), np.array([-2.0, 0.5, 2.0])
+    part = points[np.hypot(*(points - b[:2]).T) < 5.0]  # of what the old one saw this is less than half
+    index, rules = (
+        PlaceIndex(),
+        PlaceSearchConfig(least_heading=0.0, least_score=0.25, least_share=0.25, least_held=5.0),
+    )
+    index.add(seen_from(a, points, seed=1))
+    index.add(seen_from(b, part, seed=2))
+    true = se2.between(b, a)
+    guess = se2.compose(true, rng.uniform(-1.0, 1.0, 3) * [0.4, 0.4, 0.3])
+    match = index.lay(0, 1, se2.inverse(guess), np.array([0.8, 0.8, 0.6]), rules)
+    assert match is not None
+    assert (match.first, match.second, match.clear) == (1, 0, True)
+    error = se2.between(true, match.measured)
+    assert np.hypot(*error[:2]) < 0.05
+    assert abs(error[2]) < 0.02
+    far = se2.compose(true, np.array([40.0, 0.0, 0.0]))
+    assert index.lay(0, 1, se2.inverse(far), np.array([0.8, 0.8, 0.6]), rules) is None
+    strict = PlaceSearchConfig(least_share=1.01)
+    tried = index.lay(0, 1, se2.inverse(guess), np.array([0.8, 0.8, 0.6]), strict)
+    assert tried is None or not tried.clear
+
+
+def test_where_a_submap_fits_twice_near_where_it_should_lie_neither_is_clear():
+    x = np.arange(-12.0, 12.0, 0.05)
+    walls = [np.column_stack([x, np.full_like(x, y)]) for y in (-1.0, 1.0)]
+    posts = [np.column_stack([np.full(8, p), np.linspace(1.0, 1.4, 8)]) for p in np.arange(-10.5, 11.0, 1.5)]
+    points = np.concatenate([*walls, *posts])
+    index, rules = (
+        PlaceIndex(),
+        PlaceSearchConfig(least_heading=0.0, least_score=0.25, least_share=0.25, least_held=1.0),
+    )
+    index.add(seen_from([0.0, 0.0, 0.0], points, seed=1))
+    index.add(seen_from([0.7, 0.0, 0.0], points, seed=2))
+    match = index.lay(1, 0, np.array([-0.7, 0.0, 0.0]), np.array([2.5, 2.5, 0.3]), rules)
+    assert match is not None
+    assert not match.clear
+
+
 def test_submaps_stand_along_the_way_and_every_segment_has_one():
     way = way_of(np.column_stack([0.5 * np.arange(41.0), np.zeros(41), np.zeros(41)]))
     assert way[-1] == pytest.approx(20.0)

@@ -17,6 +17,7 @@ from mapweave.laser.scan_odometry import ScanInfo
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import map_laser
 from mapweave.mapping.segments import (
+    FADED,
     GAP,
     JUMP,
     LEARNED,
@@ -58,17 +59,50 @@ def after(told, step=STEP, apart=0.2, *, wheels=True):
     [
         (info(), ""),
         (info((0.9, 0.0, 0.0)), ""),  # most returns match: wheels slipped
-        (info((0.3, 0.0, 0.0), share=0.4), SLIP),
-        (info((0.0, 0.0, -0.3), share=0.4), SLIP),
+        (info((0.3, 0.0, 0.0), share=0.49), FADED),
+        (info((0.0, 0.0, -0.3), share=0.4), FADED),
+        (info((0.3, 0.0, 0.0), share=0.1), SLIP),  # all at once
+        (info((0.0, 0.0, -0.3), share=0.05), SLIP),
         (info((0.1, 0.0, 0.1), share=0.4), ""),  # few match, but where wheels put them
         (info((0.0, 1.2, 0.0)), JUMP),
         (info((0.0, 0.0, 1.2)), JUMP),
-        (info(decision="odometry"), REFUSED),
+        (info(share=0.2, decision="odometry"), FADED),
+        (info(share=0.1, decision="odometry"), REFUSED),
         (info(decision="empty"), ""),
     ],
 )
 def test_a_step_is_sure_unless_matches_and_wheels_leave_it_open(told, why):
     assert after(told) == why
+
+
+def test_wheels_lead_on_where_views_fade_and_not_where_they_were_contradicted():
+    borders = Borders()
+    for k in range(LEARNED + 5):
+        borders.seen(0.2 * k, info(decision="first" if k == 0 else "matched"), STEP, wheels=True)
+    later = 0.2 * (LEARNED + 5)
+    faded = [info(share=share, decision="odometry") for share in (0.2, 0.1, 0.0)]
+    assert [borders.seen(later + 0.2 * k, told, STEP, wheels=True) for k, told in enumerate(faded)] == [FADED] * 3
+    assert borders.seen(later + 0.6, info((0.0, 1.2, 0.0), share=0.6), STEP, wheels=True) == JUMP
+    assert borders.seen(later + 0.8, faded[0], STEP, wheels=True) == REFUSED
+    assert borders.seen(later + 1.0, faded[1], STEP, wheels=True) == REFUSED
+    assert borders.seen(later + 1.2, info(share=0.6), STEP, wheels=True) == ""
+    assert borders.seen(later + 1.4, faded[1], STEP, wheels=True) == FADED
+
+
+def test_a_view_fades_the_sooner_the_farther_the_robot_drove_and_a_narrow_one_as_it_turns():
+    assert after(info(share=0.1, decision="odometry"), np.array([2.0, 0.0, 0.0])) == FADED
+    assert after(info(share=0.1, decision="odometry"), np.array([0.0, 0.0, 0.5])) == REFUSED
+    borders = Borders()
+    for k in range(LEARNED + 5):
+        borders.seen(0.2 * k, info(decision="first" if k == 0 else "matched"), STEP, wheels=True)
+    turned = info(share=0.0, decision="odometry")
+    assert borders.seen(0.2 * (LEARNED + 5), turned, np.array([0.0, 0.0, 0.5]), wheels=True, wide=1.0) == FADED
+
+
+def test_over_a_border_where_wheels_lead_on_they_are_known_to_err_the_less_the_less_they_tell():
+    near, far = (np.sqrt(np.diag(border_covariance(np.array([x, 0.0, 0.5 * x]), FADED))) for x in (0.2, 2.0))
+    assert (near < far).all()
+    assert (far < np.sqrt(np.diag(border_covariance(np.array([2.0, 0.0, 1.0]))))).all()
 
 
 def test_without_wheels_no_match_contradicts_them():

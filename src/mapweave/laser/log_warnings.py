@@ -32,7 +32,7 @@ from ..core.records import Scan, Track
 from .keyframes import STEP_NOISE_BLUR
 from .laser_map import ScanRecords
 from .robot_graph import RobotGraph
-from .scan_odometry import NARROW, STILL
+from .scan_odometry import NARROW, STILL, field_of_view
 
 LAG_GAIN = 0.75  # share of the difference without a lag that may remain with it, at most
 
@@ -304,11 +304,8 @@ def jumps(records: ScanRecords, scans: Sequence[Scan], robot: str) -> tuple[Find
     way = np.hypot(step[:, 0], step[:, 1])
     enough = np.minimum(records.beams[before], records.beams[after]) >= JUMP_LEAST_RETURNS
     enough &= np.array([records.decision[k] != "unseen" for k in after], dtype=bool)
-    wide = np.array([max(abs(scan.angle_increment) * (len(scan.ranges) - 1), 1e-3) for scan in scans])[after]
-    turned = np.where(wide < NARROW, 1.0 / wide, DROP_PER_RAD) * np.abs(step[:, 2])  # a narrow view turns away sooner,
-    drop = JUMP_DROP * np.maximum(1.0, NARROW / wide)  # and past a door jamb it is all another room
-    allowed = drop + DROP_PER_M * way + turned
-    gone = np.flatnonzero(enough & (before > 0) & (share[before] - share[after] >= allowed))  # the first is its own map
+    wide = np.array([field_of_view(scan).wide for scan in scans])[after]
+    gone = np.flatnonzero(enough & (before > 0) & (share[before] - share[after] >= usual_drop(step, wide)))
     if not len(gone):
         return ()
     row = gone[np.argmin(after[gone])]
@@ -321,6 +318,19 @@ def jumps(records: ScanRecords, scans: Sequence[Scan], robot: str) -> tuple[Find
     }
     at = float(records.t[k])
     return (Finding("scene-jump", robot, (at, at), found, "the map goes on by the wheels"),)
+
+
+def usual_drop(step: Float[np.ndarray, "*n 3"], wide: Float[np.ndarray, " *n"] | float) -> Float[np.ndarray, " *n"]:
+    """By how much the share of returns on known walls may drop from one scan to the next, whose scene is the same one.
+
+    step: between them, as wheels tell; wide: sector of the scanner [rad].
+    """
+    wide = np.maximum(wide, 1e-3)
+    turned = np.where(wide < NARROW, 1.0 / wide, DROP_PER_RAD) * np.abs(
+        step[..., 2]
+    )  # a narrow view turns away sooner,
+    drop = JUMP_DROP * np.maximum(1.0, NARROW / wide)  # and past a door jamb it is all another room
+    return np.asarray(drop + DROP_PER_M * np.hypot(step[..., 0], step[..., 1]) + turned)
 
 
 def _one_to_the_next(scans: Sequence[Scan], late: int) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:

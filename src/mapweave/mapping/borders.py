@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ..core import se2
 from ..laser.closures import Matched
@@ -27,7 +27,7 @@ from .merge_search import (
     hypotheses,
     same_place,
 )
-from .segments import GAP, LONG, REFUSED
+from .segments import LONG, REFUSED, WHEELED
 
 LEAD = 2.5  # times the evidence of any other place that leaves no doubt
 LENIENT = 2.0  # times the share that two maps contradict of themselves, and
@@ -40,7 +40,7 @@ HELD = np.array([40.0, 40.0])  # points that hold a place which the search has l
 def decide_borders(graph: KeyframeGraph) -> tuple[int, ...]:
     """Places over a border that lie elsewhere than what both sides saw agrees are left out, and the graph is settled.
 
-    Each segment of some length is laid where its places put it among all before it. After a gap wheels decide, and
+    Each segment of some length is laid where its places put it among all before it. Where wheels lead they decide, and
     where it fits nowhere without contradiction (people, outdoors, bent walls) all places stay as they were decided. A
     short one stays near what came before it or after it: no robot is carried twice at once.
     Returns the keyframes whose segments fit elsewhere about as well.
@@ -60,7 +60,8 @@ def decide_borders(graph: KeyframeGraph) -> tuple[int, ...]:
     unclear = []
     for s, k in enumerate(cuts, start=1):
         after, over = np.flatnonzero(segment == s), np.flatnonzero((high == s) & (low < s)).tolist()
-        if not over or graph.nodes[k].border == GAP or not long[s] or not long[:s].any():
+        since = _since(graph, cuts[:s], long)
+        if not over or not long[s] or not since:
             continue
         a, b, found, ways = _ways(graph, k, over, alone.pose[after])
         alike = 1.0 - min(LENIENT * (a.own + b.own + BENDS), 1.0)
@@ -76,14 +77,20 @@ def decide_borders(graph: KeyframeGraph) -> tuple[int, ...]:
         if away.all():
             for h in best.members:
                 _tie(graph, h, a.pose[h.at], k, share)
-        before = int(last[np.flatnonzero(long[:s])[-1]])
-        carried_off = _away(graph, before, k, best.transform) > CARRIED
+        carried_off = _away(graph, since[0] - 1, k, best.transform) > CARRIED
         if carried_off:
-            graph.carried |= {next((i for i in cuts if before < i <= k and graph.nodes[i].border == REFUSED), k)}
+            graph.carried |= {next((i for i in since if graph.nodes[i].border == REFUSED), k)}
         if carried_off or away.any():
             graph.settle()
     _hold_short(graph, segment, first, last, long)
     return tuple(unclear)
+
+
+def _since(graph: KeyframeGraph, cuts: Sequence[int], long: Bool[np.ndarray, " s"]) -> Sequence[int]:
+    """Of the cuts those since a segment of some length; none where none came before or wheels lead over all."""
+    before = np.flatnonzero(long[: len(cuts)])
+    since = cuts[int(before[-1]) :] if len(before) else []
+    return since if any(graph.nodes[i].border not in WHEELED for i in since) else []
 
 
 def _ways(

@@ -23,14 +23,14 @@ from ..laser.joint_pass import JOINT_PASS_BEAMS, SCAN_AROUND, SCAN_BEAMS, joint_
 from ..laser.keyframes import Keyframe, KeyframeMaker, KeyframeOdometry, StepNoise, carried
 from ..laser.particle_slam import ParticleState
 from ..laser.robot_graph import RobotGraph
-from ..laser.scan_odometry import PoseEstimate, ScanInfo, blended
+from ..laser.scan_odometry import PoseEstimate, ScanInfo, blended, field_of_view
 from .borders import decide_borders
 from .config import LaserConfig
 from .keyframe_graph import KeyframeGraph
 from .known_places import KnownPlaces
 from .loops import LoopFinder
 from .places import PlaceIndex
-from .segments import CONTRADICTED, GAP, Borders, border_covariance
+from .segments import CONTRADICTED, WHEELED, Borders, border_covariance
 
 # of steps along the best particle's trajectory, which light holds where walls do not
 LINEAGE = StepNoise(wheels_xy=0.015, drift_xy=0.005, drift_turn=0.001)
@@ -153,10 +153,11 @@ def _cut(
     borders: Borders, t: float, scan: Scan, info: ScanInfo, step: Float[np.ndarray, "3"], *, leapt: bool
 ) -> SegmentBorder:
     """What parts the scan at `t` [s] from the one before it; `step` is what scan odometry has between the two."""
-    why = borders.seen(t, info, step, wheels=scan.odometry is not None and not leapt)
-    wheeled = why == GAP and scan.odometry is not None
-    weak = border_covariance(step, GAP if wheeled else "") if why else None
-    return SegmentBorder(why, weak, info.innovation if wheeled else None)
+    wheels, wide = scan.odometry is not None and not leapt, field_of_view(scan).wide
+    why = borders.seen(t, info, step, wheels=wheels, wide=wide)
+    wheeled = why in WHEELED and scan.odometry is not None
+    weak = border_covariance(step, why if wheeled else "") if why else None
+    return SegmentBorder(why, weak, info.innovation if wheeled and info.decision == "matched" else None)
 
 
 def _keyframe(maker: KeyframeMaker, t: float, b: Beams, cut: SegmentBorder) -> Keyframe | None:

@@ -13,7 +13,7 @@ from ..laser.keyframes import Keyframe, KeyframeConfig, carried
 from ..laser.pose_graph import PoseGraph, Solved, edge_factor, problem
 from ..laser.robust_graph import CONTRADICTION, RobustGraphConfig, solve_graph
 from .places import PlaceMatch
-from .segments import GAP, REFUSED, border_covariance
+from .segments import GAP, REFUSED, WHEELED, border_covariance
 
 PLACE_AROUND = 5  # keyframes on either side of the old one that its local map is made of
 PLACE_WITHIN = 4.0  # [m] from the old keyframe that they stand at most
@@ -339,7 +339,7 @@ class KeyframeGraph:
         squares = edge_factor(steps, "steps").squares(self.pose.ravel())
         why = [self.nodes[i].border for i in steps.second.tolist()]
         asked = [(border == REFUSED, sq, k) for k, (border, sq) in enumerate(zip(why, squares.tolist(), strict=True))]
-        worst = max((row for row in asked if why[row[2]] not in {"", GAP} and row[1] > CARRIED), default=None)
+        worst = max((row for row in asked if why[row[2]] not in {"", *WHEELED} and row[1] > CARRIED), default=None)
         return None if worst is None else int(steps.second[worst[2]])
 
     def _leave_rivals(self) -> None:

@@ -31,6 +31,7 @@ from ..laser.wall_directions import BINS
 from .submaps import PlaceSubmap
 
 MOST_RATIO = 0.9  # of the score that another place may have
+LAY_TURN = 0.06  # [rad] between the headings tried where it is known about how a submap lies
 MOST_MOVED = 0.6  # [m] that may lie between where it was found and where it was laid
 
 HEADINGS = 4  # tried of a pair, at most,
@@ -190,6 +191,29 @@ class PlaceIndex:
             if every and row[7] > 0.0:
                 fits.append(replace(self._fit(place, k, new, row[[4, 5, 6, 7, 0, 1, 2, 3]], c), clear=False))
         return [fit for fit in fits if fit.clear or every]
+
+    def lay(
+        self, new: int, old: int, pose: Float[np.ndarray, "3"], reach: Float[np.ndarray, "3"], rules: PlaceSearchConfig
+    ) -> PlaceMatch | None:
+        """Submap `old` in submap `new` [m, m, rad] within `reach` of `pose`; None where it fits nowhere there.
+
+        Clear where `rules` hold and it fits nowhere else there about as well.
+        """
+        own = self.submaps[new]
+        place = likelihood_field(own.points, None, FIELD)
+        points = np.asarray(se2.act(pose, self._points[self._start[old] : self._start[old + 1]]))
+        half = int(np.ceil(reach[2] / LAY_TURN))
+        turns = LAY_TURN * np.arange(-half, half + 1.0)[None]
+        cells = int(np.ceil(max(reach[:2]) / FIELD.cell))
+        blocks, wide = _blocks(place, cells)
+        searched = SearchedField(place.tables, blocks, wide, place.dark, place.bright, LIGHT, place.origin, FIELD.cell)
+        clouds = Clouds(points, self._levels[self._start[old] : self._start[old + 1]], np.array([0, len(points)]))
+        asked_for = SearchRules(cells, rules.least_score, round(APART / FIELD.cell), APART_TURN)
+        row = search_submaps(searched, clouds, turns, np.array([turns.shape[1]]), asked_for)[0]
+        if row[3] <= 0.0:
+            return None
+        row[:3] = se2.compose(row[:3], pose)
+        return self._fit(place, old, new, row, rules)
 
     def _rows(self, among: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The rows of the points of the submaps `among`, and where those of each begin."""

@@ -16,7 +16,7 @@ from ..core import se2
 from ..core.findings import Finding
 from ..core.laser_log import LaserLog
 from ..core.records import Track, frozen
-from ..laser.log_warnings import set_to_zero
+from ..laser.log_warnings import set_to_zero, usual_drop
 from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import ScanInfo
 
@@ -34,15 +34,19 @@ PAUSE, PAUSE_TIMES = 5.0, 8.0  # [s] between two scans, and times the usual: a p
 LEAP, LEAP_TIMES, SLOW = 1.0, 5.0, 0.2  # [m or rad], times the usual speed, at least [1/s]: wheels that were set anew
 STILL, STILL_TURN = 0.2, 0.1  # [m], [rad]: a robot that moved less over a pause stood still
 USUAL = 0.98  # of the steps between two scans are at most so long, and a robot that moved less went on as ever
-DRIVEN = 0.15  # of a step over a gap that wheels may err by
+DRIVEN = 0.15  # of a step that wheels may err by where they lead on, over a gap or as views fade, there besides by
+FADED_XY, FADED_TURN = 0.03, 0.02  # [m], [rad] and
+FADED_TURN_PER_M, FADED_TURN_PER_RAD = 0.05, 0.1  # [rad] of the turn
 WIDE = 0.5  # of a step over a border that it may err by, where that is more than the settings say,
 ANY_TURN = 1.0  # [rad] and sd of its turn at most: of more a robot that faces the other way would be none to wonder at
-SLIP, REFUSED, JUMP, SPRANG, GAP = "slip", "refused", "jump", "sprang", "gap"  # why a step is not sure,
+SLIP, REFUSED, JUMP, SPRANG, GAP, FADED = "slip", "refused", "jump", "sprang", "gap", "faded"  # why a step is not sure,
 CONTRADICTED = "contradicted"  # or turned out to be wrong
+WHEELED = {GAP, FADED}  # where wheels lead on
 WHY = {
     SLIP: "few returns match, and elsewhere than the wheels say",
     REFUSED: "too few returns match",
     JUMP: "scans and wheels tell motions far apart",
+    FADED: "fewer and fewer returns match",
     SPRANG: "scans alone tell a motion that no robot makes from one scan to the next",
     CONTRADICTED: "places before and after it contradict what its scans tell",
 }
@@ -57,8 +61,11 @@ LONG = 3.0  # [m] of way from which on it matters that a piece shares no place w
 
 
 def border_covariance(step: Float[np.ndarray, "3"], why: str = "") -> Float[np.ndarray, "3 3"]:
-    """Of a step over a border, over x, y, theta. why: there is one; wheels go on over a gap."""
+    """Of a step over a border, over x, y, theta. why: there is one; wheels lead on over a gap and as views fade."""
     way = float(np.hypot(step[0], step[1]))
+    if why == FADED:
+        turn = FADED_TURN + FADED_TURN_PER_M * way + FADED_TURN_PER_RAD * abs(float(step[2]))
+        return np.diag(np.square([FADED_XY + DRIVEN * way] * 2 + [turn]))
     if why == GAP:
         return np.diag(np.square([max(0.5 * WEAK_XY, DRIVEN * way)] * 2 + [0.5 * WEAK_TURN]))
     xy = max(WEAK_XY, WIDE * way)
@@ -75,6 +82,7 @@ class Borders:
         self._speed: list[np.ndarray] = []
         self._leapt = False
         self._steps: list[np.ndarray] = []
+        self._share, self._why = np.nan, ""  # of the latest scan: of its returns those that match, and what came of it
         self._velocity = np.zeros((2, 2))  # [m/s] on the robot, over the last step and the last that was sure
 
     def leapt(self, t: float, wheels: Float[np.ndarray, "3"] | None) -> bool:
@@ -95,10 +103,28 @@ class Borders:
         self._leapt = far
         return far
 
-    def seen(self, t: float, info: ScanInfo, step: Float[np.ndarray, "3"], *, wheels: bool) -> str:
-        """Why the step to the scan at `t` [s] is not sure, empty where it is. step: as scan odometry has it."""
+    def seen(
+        self, t: float, info: ScanInfo, step: Float[np.ndarray, "3"], *, wheels: bool, wide: float = 2.0 * np.pi
+    ) -> str:
+        """Why the step to the scan at `t` [s] is not sure, empty where it is.
+
+        step: as scan odometry has it; wide: [rad] of the sector that is seen. Wheels lead on where views fade that were
+        sure: of one that changes at once, and of those after one of which scans and wheels did not tell one motion,
+        they may know nothing.
+        """
         apart, self._t = t - self._t, t
         pause = len(self._apart) >= LEARNED and apart > max(PAUSE, PAUSE_TIMES * float(np.median(self._apart)))
+        why, last = self._unsure(apart, info, step, wheels=wheels, pause=pause), self._share
+        self._share = np.nan if info.decision == "first" else info.matches / max(info.beams, 1)
+        told = se2.compose(step, se2.inverse(info.innovation)) if info.decision == "matched" else step
+        sudden = bool(last - self._share >= usual_drop(told, wide))
+        if why in {REFUSED, SLIP} and wheels and not (pause or sudden) and self._why in {"", *WHEELED}:
+            why = FADED
+        self._why = why
+        return why
+
+    def _unsure(self, apart: float, info: ScanInfo, step: Float[np.ndarray, "3"], *, wheels: bool, pause: bool) -> str:
+        """Why the step to a scan `apart` [s] after the last is not sure, whatever wheels are worth."""
         if np.isfinite(apart) and not pause and len(self._apart) < 10 * LEARNED:
             self._apart.append(apart)
         size = np.array([np.hypot(step[0], step[1]), abs(step[2])])
