@@ -33,6 +33,7 @@ LEAD = 2.5  # times the evidence of any other place that leaves no doubt
 LENIENT = 2.0  # times the share that two maps contradict of themselves, and
 BENDS = 0.01  # besides, for they bend: so much of what both saw may be unlike where they meet. Of maps in which people
 # walk that is nearly all: then another place may fit, too, but the best is the one that `LEAST_ALIKE` says
+SURELY = 1.0 - LENIENT * BENDS  # of it is alike where maps that nothing moved in meet: if less is, any other is doubt
 MOST_PAIRS = 5000  # of submaps of what came before and after that are searched: a second or two, however far it drove
 HELD = np.array([40.0, 40.0])  # points that hold a place which the search has let through, at least
 
@@ -68,8 +69,8 @@ def decide_borders(graph: KeyframeGraph) -> tuple[int, ...]:
         best = max(ways, key=lambda c: c.evidence(max(alike, LEAST_ALIKE)))
         if best.evidence(min(alike, LEAST_ALIKE)) <= 0.0:
             continue
-        others = [c.evidence(alike) for c in ways if not same_place(b, c.transform, best.transform)]
-        if others and LEAD * max(*others, 0.0) >= best.evidence(alike):
+        rival = max((c.evidence(alike) for c in ways if not same_place(b, c.transform, best.transform)), default=0.0)
+        if rival > 0.0 and (best.seen.share < SURELY or LEAD * rival >= best.evidence(alike)):
             unclear.append(k)
         share = f"{100.0 * best.seen.share:.0f} % of what both sides saw is alike"
         away = apart(b, found, best.transform, 2.0 * AGREE, 2.0 * AGREE_TURN) > 1.0
