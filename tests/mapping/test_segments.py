@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import mapweave
 from mapweave.core import se2
 from mapweave.core.findings import Finding
 from mapweave.core.laser_log import LaserLog
@@ -36,8 +35,7 @@ from mapweave.mapping.segments import (
     way_bent,
     way_loose,
 )
-from mapweave.sim.laser import DriveConfig
-from mapweave.sim.laser_worlds import CorridorConfig, OfficeConfig, simulate_corridor
+from mapweave.sim.laser_worlds import CorridorConfig, simulate_corridor
 
 STEP = np.array([0.3, 0.0, 0.1])
 
@@ -395,12 +393,3 @@ def test_a_robot_that_faces_the_other_way_after_a_sharp_turn_is_told():
     pose[after] = se2.compose(se2.compose(pose[29], step[29] + [0.0, 0.0, np.pi]), se2.between(pose[30], pose[after]))
     (told,) = cuts_disputed(replace(graph, step=step, pose=pose), ())
     assert told.code == "cut-disputed"
-
-
-@pytest.mark.slow
-def test_a_wide_hall_whose_ends_look_alike_is_not_called_good_where_the_map_is_a_room_off():
-    people = DriveConfig(people=10)
-    hall = OfficeConfig(rooms=2, room_width=8.0, room_depth=7.0, corridor=4.0, drive=people)
-    made = mapweave.map(mapweave.simulate_laser(None, hall, seed=1).log)
-    assert made.verdict == "doubtful"
-    assert "cut-disputed" in {found.code for found in made.findings}

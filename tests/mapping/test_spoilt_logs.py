@@ -18,7 +18,7 @@ from mapweave.mapping.keyframe_graph import KeyframeGraph, KeyframeGraphConfig
 from mapweave.mapping.map_overlap import keyframe_map
 from mapweave.mapping.merge_search import hypotheses
 from mapweave.mapping.places import PlaceMatch
-from mapweave.mapping.segments import GAP, border_covariance
+from mapweave.mapping.segments import FADED, GAP, WHY, border_covariance
 from mapweave.sim.laser import DriveConfig, Scanner
 from mapweave.sim.laser_worlds import OfficeConfig, simulate_office
 
@@ -427,3 +427,14 @@ def test_the_last_pass_holds_steps_and_none_over_a_border(sd, where):
     cloud = scan_cloud([GONE, GONE], np.zeros((2, 2)), 10)
     moved = joint_pass(step, cloud, JointPassConfig(), tie)[1, 0]
     assert moved > 0.95 * where if sd == 1.0 else moved < where
+
+
+@pytest.mark.slow
+def test_in_a_wide_hall_whose_ends_look_alike_wheels_lead_on_where_people_hide_the_walls():
+    hall = OfficeConfig(rooms=2, room_width=8.0, room_depth=7.0, corridor=4.0, drive=DriveConfig(people=10))
+    simulated = simulate_office(hall, seed=1)
+    log, truth = simulated.log, simulated.truth
+    made = mapweave.map([log])
+    assert {found.value for found in made.findings if found.code == "track-cut"} == {WHY[FADED]}
+    assert made.verdict == "good"
+    assert off(made, log.scan_t, truth.pose[np.abs(truth.t[:, None] - log.scan_t[None]).argmin(axis=0)]) < 0.2
