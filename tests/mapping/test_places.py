@@ -5,11 +5,11 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.kernels.laser.place_search import FULL
-from mapweave.kernels.mapping.places import Clouds, SearchedField, SearchRules, heading_peaks, search_submaps
+from mapweave.kernels.mapping.places import Clouds, heading_peaks
 from mapweave.laser.place_search import likelihood_field
 from mapweave.laser.wall_directions import BINS
 from mapweave.mapping import places
-from mapweave.mapping.places import FIELD, LIGHT, PlaceIndex, PlaceMatch, PlaceSearchConfig
+from mapweave.mapping.places import FIELD, PlaceIndex, PlaceMatch, PlaceSearchConfig
 from mapweave.mapping.submaps import SUBMAP_POINTS, PlaceSubmap, make_submap, middles, signature, way_of
 
 
@@ -158,10 +158,8 @@ def test_the_search_finds_what_trying_every_shift_at_every_heading_finds():
         field = likelihood_field(wall, None, FIELD)
         turns = np.sort(rng.uniform(0, 2 * np.pi, 3))
         reach = 9
-        blocks, wide = places._blocks(field, reach)
-        searched = SearchedField(field.tables, blocks, wide, field.dark, field.bright, LIGHT, field.origin, FIELD.cell)
         clouds = Clouds(query, np.zeros(len(query), np.int64), np.array([0, len(query)]))
-        (row,) = search_submaps(searched, clouds, turns[None], np.array([3]), SearchRules(reach, 0.05, 5, 0.25))
+        (row,) = places._search(field, clouds, turns[None], np.array([3]), reach, 0.05)
         score, a, ox, oy = scanned(field, query, turns, reach)
         assert row[3] == pytest.approx(score / (255 * len(query))), trial
         assert np.allclose(row[:3], [ox * FIELD.cell, oy * FIELD.cell, turns[a]])
@@ -225,10 +223,8 @@ def test_where_it_is_known_about_how_a_submap_lies_it_is_found_there_and_nowhere
     points, rng = room(seed), np.random.default_rng(seed)
     a, b = np.array([2.0, 1.0, 0.4]), np.array([-2.0, 0.5, 2.0])
     part = points[np.hypot(*(points - b[:2]).T) < 5.0]  # of what the old one saw this is less than half
-    index, rules = (
-        PlaceIndex(),
-        PlaceSearchConfig(least_heading=0.0, least_score=0.25, least_share=0.25, least_held=5.0),
-    )
+    index = PlaceIndex()
+    rules = PlaceSearchConfig(least_heading=0.0, least_score=0.25, least_share=0.25, least_held=5.0)
     index.add(seen_from(a, points, seed=1))
     index.add(seen_from(b, part, seed=2))
     true = se2.between(b, a)
@@ -251,10 +247,8 @@ def test_where_a_submap_fits_twice_near_where_it_should_lie_neither_is_clear():
     walls = [np.column_stack([x, np.full_like(x, y)]) for y in (-1.0, 1.0)]
     posts = [np.column_stack([np.full(8, p), np.linspace(1.0, 1.4, 8)]) for p in np.arange(-10.5, 11.0, 1.5)]
     points = np.concatenate([*walls, *posts])
-    index, rules = (
-        PlaceIndex(),
-        PlaceSearchConfig(least_heading=0.0, least_score=0.25, least_share=0.25, least_held=1.0),
-    )
+    index = PlaceIndex()
+    rules = PlaceSearchConfig(least_heading=0.0, least_score=0.25, least_share=0.25, least_held=1.0)
     index.add(seen_from([0.0, 0.0, 0.0], points, seed=1))
     index.add(seen_from([0.7, 0.0, 0.0], points, seed=2))
     match = index.lay(1, 0, np.array([-0.7, 0.0, 0.0]), np.array([2.5, 2.5, 0.3]), rules)

@@ -56,7 +56,7 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "note",
             "from one scan to the next the motion is not sure: {value}",
             "Scans and wheels leave open how the robot moved there. The trajectory is cut there: how the pieces lie is "
-            "told by places that both saw.",
+            "told by places that both saw, and where views only faded by the wheels.",
             "Nothing where places join the pieces; else `segment-apart` tells it.",
         ),
         "place-unclear": FindingKind(

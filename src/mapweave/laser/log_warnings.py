@@ -49,9 +49,7 @@ LAGS = LAG_STEP * np.arange(-round(LAG_MOST / LAG_STEP), round(LAG_MOST / LAG_ST
 DRIFT_SPAN = 200.0  # [s] of the log that are asked by how much one clock is faster,
 RATES = 0.0005 * np.arange(-120, 121)  # of which these are tried, and these lags [s] at its begin;
 FIRST_LAGS = 0.1 * np.arange(-15, 16)
-DRIFT_OWN = (
-    1e-3  # [rad] from the wheels' turn at the same stamps: what is nearer was taken from them, and tells nothing
-)
+DRIFT_OWN = 1e-3  # [rad] from the wheels' turn at the same stamps: what is nearer was taken from them, tells nothing
 DRIFT_GAIN = 0.85  # share of the difference by any constant lag that may remain, at most, and
 DRIFT_WITHIN = 0.005  # of each other every second turn and the others must find the rate
 DRIFT_LEAST = 0.005  # that is told
@@ -326,11 +324,9 @@ def usual_drop(step: Float[np.ndarray, "*n 3"], wide: Float[np.ndarray, " *n"] |
     step: between them, as wheels tell; wide: sector of the scanner [rad].
     """
     wide = np.maximum(wide, 1e-3)
-    turned = np.where(wide < NARROW, 1.0 / wide, DROP_PER_RAD) * np.abs(
-        step[..., 2]
-    )  # a narrow view turns away sooner,
+    per_rad = np.where(wide < NARROW, 1.0 / wide, DROP_PER_RAD)  # a narrow view turns away sooner,
     drop = JUMP_DROP * np.maximum(1.0, NARROW / wide)  # and past a door jamb it is all another room
-    return np.asarray(drop + DROP_PER_M * np.hypot(step[..., 0], step[..., 1]) + turned)
+    return np.asarray(drop + DROP_PER_M * np.hypot(step[..., 0], step[..., 1]) + per_rad * np.abs(step[..., 2]))
 
 
 def _one_to_the_next(scans: Sequence[Scan], late: int) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:

@@ -5,20 +5,19 @@ from itertools import takewhile
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from ..core import se2
 from ..laser.keyframes import carried
 from .keyframe_graph import KeyframeGraph
 from .places import PlaceIndex, PlaceMatch, PlaceSearchConfig
-from .segments import FADED, REFUSED, WHEELED, border_covariance
+from .segments import WHEELED
 from .submaps import SUBMAP_AROUND, SUBMAP_EVERY, TURN_WAY, extent, make_submap, middles
 
 # what will do of a submap in the one before it, over a border between segments: correlation of headings, likelihood,
 # share of points on walls, points that hold it, another place as likely if it is not where the step over it may lead
 BORDER = PlaceSearchConfig(least_heading=0.0, least_score=0.35, least_share=0.45, least_held=12.0)
 LED = replace(BORDER, least_score=0.25, least_share=0.25, least_held=5.0)  # and where wheels lead over it
-MOVED = replace(BORDER, least_share=0.6)  # and of a robot that was moved where they seemed to
 BORDER_SDS = 3.0  # standard deviations from where the step over it puts it, by all three coordinates together
 SEARCHED = 400  # older submaps, the nearest, that one is searched for among, at most: some 2 km of way
 FOUND = 24  # places of one submap, those nearest to where the estimate has it, at most
@@ -126,19 +125,7 @@ class LoopFinder:
         ahead = se2.compose(se2.between(graph.nodes[before].local, last.local), border.step)
         step = se2.compose(ahead, se2.between(border.local, graph.nodes[new].local))
         on = se2.between(border.local, graph.nodes[new].local)
-        found = self._lay(number, step, carried(border.cov, on), LED if border.border in WHEELED else BORDER)
-        if found or border.border != FADED:
-            return found
-        weak = border_covariance(border.step)
-        found = self._lay(number, step, carried(weak, on), MOVED)
-        if found:
-            graph.nodes[self.segment] = border._replace(border=REFUSED, cov=border.cov + weak)
-        return found
-
-    def _lay(
-        self, number: int, step: Float[np.ndarray, "3"], cov: Float[np.ndarray, "3 3"], rules: PlaceSearchConfig
-    ) -> list[PlaceMatch]:
-        """Submap `number` in the one before it, at most `BORDER_SDS` from `step`, which errs by `cov`."""
+        cov, rules = carried(border.cov, on), LED if border.border in WHEELED else BORDER
         reach = BORDER_SDS * np.sqrt(np.diag(cov))
         old, own = (len(self.index.submaps[k].points) for k in (number - 1, number))
         if old <= own:

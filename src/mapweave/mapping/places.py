@@ -146,21 +146,16 @@ class PlaceIndex:
         return len(self) - 1
 
     def search(
-        self,
-        new: int,
-        among: Sequence[int] | Int[np.ndarray, " k"],
-        *,
-        every: bool = False,
-        rules: PlaceSearchConfig | None = None,
+        self, new: int, among: Sequence[int] | Int[np.ndarray, " k"], *, every: bool = False
     ) -> list[PlaceMatch]:
         """Which of the submaps `among` are the place of submap `new`, as far as the two of them tell.
 
-        every: those that are not clear too, and the next best places; rules: in place of the index's own.
+        every: those that are not clear too, and the next best places.
         """
         among = np.asarray(among, np.int64)
         if not len(among):
             return []
-        c, own = rules or self.cfg, self.submaps[new]
+        c, own = self.cfg, self.submaps[new]
         lit = own.q is not None and all(self.submaps[k].q is not None for k in among.tolist())
         place = likelihood_field(own.points, own.q if lit else None, FIELD)
         turns, count = heading_peaks(
@@ -173,12 +168,8 @@ class PlaceIndex:
         asked = count > 0
         among, turns, count = among[asked], turns[asked], count[asked]
         rows, start = self._rows(among)
-        cells = int(c.reach / FIELD.cell)
-        blocks, wide = _blocks(place, cells)
-        searched = SearchedField(place.tables, blocks, wide, place.dark, place.bright, LIGHT, place.origin, FIELD.cell)
         clouds = Clouds(self._points[rows], self._levels[rows], start)
-        asked_for = SearchRules(cells, c.least_score, round(APART / FIELD.cell), APART_TURN)
-        found = search_submaps(searched, clouds, turns, count, asked_for)
+        found = _search(place, clouds, turns, count, int(c.reach / FIELD.cell), c.least_score)
         fits = []
         walls = _lit_walls(own.points, own.q) if lit and own.q is not None else None
         for j, (k, row) in enumerate(zip(among.tolist(), found, strict=True)):
@@ -204,12 +195,9 @@ class PlaceIndex:
         points = np.asarray(se2.act(pose, self._points[self._start[old] : self._start[old + 1]]))
         half = int(np.ceil(reach[2] / LAY_TURN))
         turns = LAY_TURN * np.arange(-half, half + 1.0)[None]
-        cells = int(np.ceil(max(reach[:2]) / FIELD.cell))
-        blocks, wide = _blocks(place, cells)
-        searched = SearchedField(place.tables, blocks, wide, place.dark, place.bright, LIGHT, place.origin, FIELD.cell)
         clouds = Clouds(points, self._levels[self._start[old] : self._start[old + 1]], np.array([0, len(points)]))
-        asked_for = SearchRules(cells, rules.least_score, round(APART / FIELD.cell), APART_TURN)
-        row = search_submaps(searched, clouds, turns, np.array([turns.shape[1]]), asked_for)[0]
+        cells = int(np.ceil(max(reach[:2]) / FIELD.cell))
+        row = _search(place, clouds, turns, np.array([turns.shape[1]]), cells, rules.least_score)[0]
         if row[3] <= 0.0:
             return None
         row[:3] = se2.compose(row[:3], pose)
@@ -330,11 +318,23 @@ LIGHT = np.floor(FULL * np.exp(-0.5 * np.square(_DIFFERENCE)) + 0.5).astype(np.i
 """What a difference of so many levels of brightness leaves of a point."""
 
 
-def _blocks(place: LikelihoodField, reach: int) -> tuple[np.ndarray, int]:
-    """The blocks of a field with room for all shifts behind each row, and how wide a row is then."""
+def _search(
+    place: LikelihoodField,
+    clouds: Clouds,
+    turns: Float[np.ndarray, "k t"],
+    count: Int[np.ndarray, " k"],
+    reach: int,
+    least: float,
+) -> Float[np.ndarray, "k 8"]:
+    """`search_submaps` of the field, with room for shifts up to `reach` [cells] behind each row of its blocks."""
     size = 2**place.cfg.levels
     blocks = np.pad(place.blocks, ((0, 0), (0, 0), (0, 0), (0, (2 * reach + size) // size)))
-    return blocks.reshape(size, size, -1), blocks.shape[3]
+    wide = blocks.shape[3]
+    field = SearchedField(
+        place.tables, blocks.reshape(size, size, -1), wide, place.dark, place.bright, LIGHT, place.origin, FIELD.cell
+    )
+    asked_for = SearchRules(reach, least, round(APART / FIELD.cell), APART_TURN)
+    return np.asarray(search_submaps(field, clouds, turns, count, asked_for))
 
 
 def _room(rows: np.ndarray, count: int) -> np.ndarray:
