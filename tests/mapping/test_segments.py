@@ -88,13 +88,19 @@ def test_wheels_lead_on_where_views_fade_and_not_where_they_were_contradicted():
 
 
 def test_a_view_fades_the_sooner_the_farther_the_robot_drove_and_a_narrow_one_as_it_turns():
-    assert after(info(share=0.1, decision="odometry"), np.array([2.0, 0.0, 0.0])) == FADED
+    assert after(info(share=0.1, decision="odometry"), np.array([0.5, 0.0, 0.0])) == FADED
     assert after(info(share=0.1, decision="odometry"), np.array([0.0, 0.0, 0.5])) == REFUSED
     borders = Borders()
     for k in range(LEARNED + 5):
         borders.seen(0.2 * k, info(decision="first" if k == 0 else "matched"), STEP, wheels=True)
     turned = info(share=0.0, decision="odometry")
     assert borders.seen(0.2 * (LEARNED + 5), turned, np.array([0.0, 0.0, 0.5]), wheels=True, wide=1.0) == FADED
+
+
+def test_wheels_that_tell_more_than_robots_move_between_two_scans_do_not_lead_on():
+    faded = info(share=0.4, decision="odometry")
+    assert after(faded, np.array([0.45, 0.0, 0.4])) == FADED
+    assert after(faded, np.array([0.9, 0.0, 0.1])) == after(faded, np.array([0.3, 0.0, 1.0])) == REFUSED
 
 
 def test_over_a_border_where_wheels_lead_on_they_are_known_to_err_the_less_the_less_they_tell():

@@ -34,6 +34,7 @@ PAUSE, PAUSE_TIMES = 5.0, 8.0  # [s] between two scans, and times the usual: a p
 LEAP, LEAP_TIMES, SLOW = 1.0, 5.0, 0.2  # [m or rad], times the usual speed, at least [1/s]: wheels that were set anew
 STILL, STILL_TURN = 0.2, 0.1  # [m], [rad]: a robot that moved less over a pause stood still
 USUAL = 0.98  # of the steps between two scans are at most so long, and a robot that moved less went on as ever
+FAST, FAST_TIMES = 0.5, 1.5  # [m or rad], times the usual: of more wheels do not lead on, they slipped
 DRIVEN = 0.15  # of a step that wheels may err by where they lead on, over a gap or as views fade, there besides by
 FADED_XY, FADED_TURN = 0.03, 0.02  # [m], [rad] and
 FADED_TURN_PER_M, FADED_TURN_PER_RAD = 0.05, 0.1  # [rad] of the turn
@@ -110,7 +111,7 @@ class Borders:
 
         step: as scan odometry has it; wide: [rad] of the sector that is seen. Wheels lead on where views fade that were
         sure: of one that changes at once, and of those after one of which scans and wheels did not tell one motion,
-        they may know nothing.
+        they may know nothing, nor where they tell more than robots move between two scans.
         """
         apart, self._t = t - self._t, t
         pause = len(self._apart) >= LEARNED and apart > max(PAUSE, PAUSE_TIMES * float(np.median(self._apart)))
@@ -118,7 +119,9 @@ class Borders:
         self._share = np.nan if info.decision == "first" else info.matches / max(info.beams, 1)
         told = se2.compose(step, se2.inverse(info.innovation)) if info.decision == "matched" else step
         sudden = bool(last - self._share >= usual_drop(told, wide))
-        if why in {REFUSED, SLIP} and wheels and not (pause or sudden) and self._why in {"", *WHEELED}:
+        way = np.array([np.hypot(told[0], told[1]), abs(told[2])])
+        fast = bool((way > np.maximum(FAST, FAST_TIMES * np.quantile(self._steps, USUAL, axis=0))).any())
+        if why in {REFUSED, SLIP} and wheels and not (pause or sudden or fast) and self._why in {"", *WHEELED}:
             why = FADED
         self._why = why
         return why
