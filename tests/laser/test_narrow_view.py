@@ -80,11 +80,11 @@ def test_a_match_far_from_where_wheels_put_it_must_win_returns():
 
     here = match(50, 0.0, 0.0, 0.0)
     little, far = (0.0, 0.0, 0.03), (0.0, 0.0, 0.6)
-    assert better(here, match(52, *little), SD, narrow=True).matches == 52
-    assert better(here, match(60, *far), SD, narrow=True) is here
-    assert better(here, match(95, *far), SD, narrow=True).matches == 95
-    assert better(match(52, *little), here, SD, narrow=True).matches == 52
-    assert better(here, match(60, *far), SD, narrow=False).matches == 60
+    assert better(here, match(52, *little), SD, costs=True).matches == 52
+    assert better(here, match(60, *far), SD, costs=True) is here
+    assert better(here, match(95, *far), SD, costs=True).matches == 95
+    assert better(match(52, *little), here, SD, costs=True).matches == 52
+    assert better(here, match(60, *far), SD, costs=False).matches == 60
 
 
 def test_the_median_of_steps_is_not_moved_by_some_that_are_wrong():

@@ -18,7 +18,7 @@ from mapweave.mapping.keyframe_graph import KeyframeGraph, KeyframeGraphConfig
 from mapweave.mapping.map_overlap import keyframe_map
 from mapweave.mapping.merge_search import hypotheses
 from mapweave.mapping.places import PlaceMatch
-from mapweave.mapping.segments import FADED, GAP, WHY, border_covariance
+from mapweave.mapping.segments import FADED, GAP, REFUSED, WHY, border_covariance
 from mapweave.sim.laser import DriveConfig, Scanner
 from mapweave.sim.laser_worlds import OfficeConfig, simulate_office
 
@@ -414,6 +414,31 @@ def test_a_step_over_a_border_that_places_do_not_contradict_is_kept_and_so_is_on
         gap.nodes[k] = gap.nodes[k]._replace(border=why)
     gap.settle()
     assert not gap.loose
+
+
+@pytest.mark.parametrize(("many", "carried"), [(17, True), (8, False)])
+def test_where_views_faded_a_robot_was_carried_if_many_places_agree_and_none_is_where_wheels_lead(many, carried):
+    loops = [(2 + k, 42 + k) for k in range(many)]
+    graph, true = graph_with()
+    true[30:] = se2.compose(se2.compose(true[30], np.array([9.0, 6.0, 1.0])), se2.between(true[30], true[30:]))
+    graph.nodes[30] = graph.nodes[30]._replace(border=FADED, cov=border_covariance(graph.nodes[30].step, FADED))
+    for a, b in loops:
+        graph.tie(a, b, match(a, b, se2.between(true[a], true[b])))
+    graph.settle()
+    assert {c.accepted for c in graph.closures} == {carried}
+    assert graph.nodes[30].border == (REFUSED if carried else FADED)
+    assert (np.hypot(*(graph.pose - true)[:, :2].T).max() < 0.1) == carried
+
+
+def test_where_views_faded_and_places_hold_wheels_are_believed_whatever_else_looks_alike():
+    graph, true = graph_with()
+    graph.nodes[30] = graph.nodes[30]._replace(border=FADED, cov=border_covariance(graph.nodes[30].step, FADED))
+    graph.tie(4, 44, match(4, 44, se2.between(true[4], true[44])))
+    for k in range(17):
+        graph.tie(2 + k, 42 + k, match(2 + k, 42 + k, se2.compose([9.0, 6.0, 1.0], se2.between(true[k], true[40 + k]))))
+    graph.settle()
+    assert [c.accepted for c in graph.closures] == [True] + [False] * 17
+    assert graph.nodes[30].border == FADED
 
 
 @pytest.mark.parametrize(("sd", "where"), [(1.0, 2.97), (0.1, 1.5)])

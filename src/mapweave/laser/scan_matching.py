@@ -93,15 +93,15 @@ class ScanMatch(NamedTuple):
     beams: int
 
 
-def better(match: ScanMatch, other: ScanMatch, sd: Float[np.ndarray, "3"], *, narrow: bool) -> ScanMatch:
-    """Of two matches of a scan the one that more returns bear out; in a narrow view less what being far costs.
+def better(match: ScanMatch, other: ScanMatch, sd: Float[np.ndarray, "3"], *, costs: bool) -> ScanMatch:
+    """Of two matches of a scan the one that more returns bear out; less what being far `costs`, where it does.
 
-    There a view of what was not seen before is usual, that matches nowhere, and anywhere a little better than where it
-    is. sd: (3,) that odometry may err by.
+    A view of what was not seen before matches nowhere, and anywhere a little better than where it is: that costs in
+    narrow views, of which such are usual, and where wheels have proven good. sd: (3,) that odometry may err by.
     """
 
     def borne_out(m: ScanMatch) -> float:
-        if not narrow:
+        if not costs:
             return m.matches
         return m.matches - WIDE_LOSS * m.beams * math.log1p(float(np.sum((m.innovation / sd) ** 2)))
 
@@ -120,12 +120,12 @@ class _Keyframe(NamedTuple):
 class FrontEnd:
     """The local map. `insert` changes it: it belongs to one estimator state.
 
-    ends: whether returns past the end of the walls that were seen are matched to none; narrow: whether views are, so
-    that little of a scan need match, and few returns of one are no more than they are.
+    ends: whether returns past the end of the walls that were seen are matched to none; costs: whether it costs a match
+    to lie far from odometry, see `better`.
     """
 
     def __init__(self, cfg: FrontEndConfig, tangent: float | None = None) -> None:
-        self.cfg, self.ends, self.narrow = cfg, False, False
+        self.cfg, self.ends, self.costs = cfg, False, False
         self.tangent = cfg.tangent if tangent is None else tangent
         if cfg.size < 8 or cfg.size & (cfg.size - 1):
             raise ConfigError(f"front_end.size: expected a power of two from 8 on, found {cfg.size}")
@@ -154,7 +154,7 @@ class FrontEnd:
                 )
                 count = self._count(self.fine, FRONT_END_FINE, b, tried[0], FRONT_END_REACH)
                 other = ScanMatch(tried[0], tried[1], se2.between(predicted, tried[0]), count, n)
-                best = better(best, other, sd, narrow=self.narrow)
+                best = better(best, other, sd, costs=self.costs)
             return best
         return ScanMatch(pose, H, se2.between(predicted, pose), matches, n)
 
@@ -245,8 +245,8 @@ class FrontEnd:
         return np.asarray(H - np.diag(held**-2.0))
 
     def _whole(self, b: Beams) -> float:
-        """What all returns of a scan together tell across one wall [1/m^2]."""
-        return (min(self.cfg.neff, len(b.q)) if self.narrow else self.cfg.neff) / FRONT_END_SIGMA**2
+        """What all returns of a scan together tell across one wall [1/m^2]: few are no more than they are."""
+        return min(self.cfg.neff, len(b.q)) / FRONT_END_SIGMA**2
 
     def _by_directions(self, b: Beams, last: Float[np.ndarray, "3"]) -> Float[np.ndarray, "k 3"]:
         """Poses about the last one at which the scan's walls face where those of the local map do."""

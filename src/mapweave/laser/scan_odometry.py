@@ -192,7 +192,7 @@ class ScanOdometry:
         """An empty one. Where wheels have shown what they are worth, walls do not go on past their ends."""
         made = self._matcher(self.cfg, self.tangent)
         if isinstance(made, FrontEnd):
-            made.ends, made.narrow = self.worth is not None, self.narrow
+            made.ends = self.worth is not None
         return made
 
     @property
@@ -314,11 +314,14 @@ class ScanOdometry:
 
     def _match(self, fe: Matcher, b: Beams, predicted: np.ndarray, u: np.ndarray, sd: np.ndarray) -> ScanMatch:
         """A scan against the local map from where wheels put it; where few match, good ones may have slipped."""
+        costs = self.narrow or (self.worth is not None and self.worth.proven)
+        if isinstance(fe, FrontEnd):
+            fe.costs = costs
         match: ScanMatch = fe.match(b, predicted, sd)
         if self.worth is None or match.matches >= WIDE_UNDER * match.beams:
             return match
         of_any: ScanMatch = fe.match(b, predicted, allowed_sd(u, self.cfg))
-        return better(match, of_any, sd, narrow=self.narrow)
+        return better(match, of_any, sd, costs=costs)
 
     def _learn(
         self, match: ScanMatch, u: Float[np.ndarray, "3"], predicted: Float[np.ndarray, "3"], *, alone: bool

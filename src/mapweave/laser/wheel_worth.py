@@ -90,6 +90,11 @@ class WheelWorth:
         f = np.array([xy, xy, self._turn.of(CAREFUL)])
         return np.asarray(cov * f[:, None] * f)
 
+    @property
+    def proven(self) -> bool:
+        """Whether over longer ways they are better than matches of few returns."""
+        return max(self._way.of(CAREFUL), self._turn.of(CAREFUL)) < PROVEN
+
     def few(
         self,
         share: float,
@@ -106,8 +111,7 @@ class WheelWorth:
         if np.hypot(wheels[0], wheels[1]) > DRIVES or abs(wheels[2]) > TURNS:
             of[0].see(float(np.hypot(innovation[0], innovation[1]) / (np.sqrt(2.0) * sd[0])))
             of[1].see(float(abs(innovation[2]) / sd[2]))
-        proven = max(self._way.of(CAREFUL), self._turn.of(CAREFUL)) < PROVEN
-        if of is self._off[-1] or not proven:
+        if of is self._off[-1] or not self.proven:
             return innovation
         xy, turn = (
             min(1.0, many.squares / many.n * few.n / few.squares) for many, few in zip(self._off[-1], of, strict=True)

@@ -13,7 +13,7 @@ from ..laser.keyframes import Keyframe, KeyframeConfig, carried
 from ..laser.pose_graph import PoseGraph, Solved, edge_factor, problem
 from ..laser.robust_graph import CONTRADICTION, RobustGraphConfig, solve_graph
 from .places import PlaceMatch
-from .segments import GAP, REFUSED, WHEELED, border_covariance
+from .segments import FADED, GAP, REFUSED, WHEELED, border_covariance
 
 PLACE_AROUND = 5  # keyframes on either side of the old one that its local map is made of
 PLACE_WITHIN = 4.0  # [m] from the old keyframe that they stand at most
@@ -26,6 +26,7 @@ OUTWEIGHED = 3  # places that hold without a step and not with it: then it is th
 SLIPPED = 1.0  # sd, of a step over a border, that steps in a row may be wrong by: farther, the places are wrong
 ALONE = 5  # keyframes between two such rows, at least
 NEAR, RIVALS = 3.0, 30  # sd of a step over a gap that places there may lie from it; times as many elsewhere
+DENIED = 10  # places that agree over views that faded, and none where the wheels say: it was carried
 SELDOM = 0.02  # of the keyframes must be new before it is decided again which places hold, however far those move it
 ANEW = 1.25  # times the keyframes there were when all places were asked last: then all are asked anew,
 ASKED = 10_000  # of those that did not hold before at most, which lie least far from what the others say
@@ -270,6 +271,29 @@ class KeyframeGraph:
         closures that did not hold before are not asked; they hold again where they fit what the others say. So that
         work does not grow with the square of the way, no more than `ASKED` of them are asked at all.
         """
+        self._decide(for_now=for_now)
+        faded = [] if for_now else self._denied()
+        if not faded:
+            return
+        nodes, closures, pose = self.nodes, self.closures, self.pose
+        self.nodes = [_refused_at(node) if i in faded else node for i, node in enumerate(nodes)]
+        self._decide(for_now=False)
+        over = [c for c in self.closures if c.accepted and any(_over(c, k) for k in faded)]
+        if len(over) < DENIED:
+            self.nodes, self.closures, self.pose = nodes, closures, pose
+            self._decide(for_now=False)
+
+    def _denied(self) -> list[int]:
+        """The keyframes after views that faded over which many places were found and none holds: it was carried."""
+        if len(self.of) > 1:
+            return []
+        cuts = [i for i, node in enumerate(self.nodes) if i and node.border == FADED]
+        found = [(c.accepted, k) for k in cuts for c in self.closures if _over(c, k)]
+        held = {k for accepted, k in found if accepted}
+        return [k for k in cuts if k not in held and len([None for _, of in found if of == k]) >= DENIED]
+
+    def _decide(self, *, for_now: bool) -> None:
+        """As `settle`, wheels being believed where they lead on."""
         self.contradicted, self.loose, self._settled = frozenset(), self.carried, len(self)
         every = not for_now or len(self) >= ANEW * self._asked
         self._asked = len(self) if every else self._asked
@@ -437,6 +461,16 @@ class KeyframeGraph:
         reason = f"it contradicts the other measurements by {np.sqrt(squares[worst]):.1f} standard deviations"
         self.closures[at] = replace(self.closures[at], accepted=False, reason=reason)
         return True
+
+
+def _over(closure: Closure, k: int) -> bool:
+    """Whether it lies over the border before keyframe `k`."""
+    return (closure.first < k) != (closure.second < k)
+
+
+def _refused_at(node: Keyframe) -> Keyframe:
+    """The keyframe, after a border of which nothing is known."""
+    return node._replace(border=REFUSED, cov=border_covariance(node.step))
 
 
 def _refused(closure: Closure) -> bool:
