@@ -31,6 +31,7 @@ from mapweave.mapping.segments import (
     held_over,
     pieces_of,
     segment_findings,
+    set_down,
     still_apart,
     way_bent,
     way_loose,
@@ -251,6 +252,14 @@ def test_what_a_border_parts_is_held_where_closures_reach_most_of_what_came_afte
     assert not held_over(straight((20, 22), ((3, 21),)), 20.0)  # that alone
     assert not held_over(straight((20, 34), ((3, 38),)), 20.0)
     assert held_over(straight((20, 26), ((3, 38),)), 20.0)
+
+
+def test_a_robot_that_was_set_down_sees_where_it_is_and_one_whose_views_fade_drove_on():
+    assert set_down(straight((20,)), 20.0)
+    assert set_down(straight((20, 22)), 20.0)  # a scan taken while it was set down is of neither place
+    assert not set_down(straight((20, 21, 22)), 20.0)
+    assert set_down(straight((20, 26, 27)), 20.0)
+    assert not set_down(straight((20,), ((3, 30),)), 20.0)
 
 
 def test_nothing_is_apart_from_a_way_too_short_to_find_again():

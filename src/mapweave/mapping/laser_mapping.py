@@ -50,7 +50,7 @@ from ..laser.scan_odometry import ScanOdometry, blended
 from ..laser.sweep import sweep_of
 from .config import LaserConfig
 from .map_overlap import VIEWS, glass_returns, keyframe_map, seen_through
-from .segments import LONG, bridged, cuts_disputed, held_over, segment_findings, way_bent, way_loose
+from .segments import LONG, bridged, cuts_disputed, held_over, segment_findings, set_down, way_bent, way_loose
 from .session import LaserSession
 
 MOMENT_WITHIN = 0.002  # [s] in which a robot hardly moves
@@ -404,7 +404,7 @@ def elsewhere_from(made: LaserMap) -> float | None:
     """When [s] the robot of a map was in another place at once, where nothing ties what it saw there to the rest."""
     jump = next((f for f in made.findings if f.code == "scene-jump" and f.span is not None), None)
     graph = made.graph
-    if jump is None or graph is None or jump.span is None or held_over(graph, jump.span[0]):
+    if jump is None or graph is None or jump.span is None or not set_down(graph, jump.span[0]):
         return None
     at = int(np.searchsorted(graph.t, jump.span[0]))
     ways = graph.path[at - 1] - graph.path[0], graph.path[-1] - graph.path[at]

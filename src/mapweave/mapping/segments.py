@@ -58,6 +58,7 @@ STRETCHES = (10, 20, 40)  # steps of a trajectory that places may have bent,
 BENT, BENT_SDS = 0.5, 5.5  # by more than this [m], and so many standard deviations of the steps together
 LOOSE = 1.25  # [m] sd of a place seen from where the robot began, beyond which its map is not good,
 LOOSE_ALL = 0.72  # and [m] root mean square over time by which its trajectory may err, as covariances say
+SETTLED, SETTLED_CUTS = 5, 1  # keyframes after a robot was set down, of which at most so many are cut off, too
 LONG = 3.0  # [m] of way from which on it matters that a piece shares no place with what came before
 
 
@@ -195,6 +196,16 @@ def held_over(graph: RobotGraph, t: float) -> bool:
     held = np.isin(piece[before:], piece[:before])
     way = _ways(graph, cuts)[before:]
     return bool(way[held].sum() >= 0.5 * way.sum())
+
+
+def set_down(graph: RobotGraph, t: float) -> bool:
+    """Whether a robot in another scene at `t` [s] at once may be in another place, which nothing ties to the rest.
+
+    There it sees walls; one whose next scans match as little as the first drove on, and sees little of anything.
+    """
+    k = int(np.searchsorted(graph.t, t))
+    later = graph.border[k + 1 : k + 1 + SETTLED]
+    return not held_over(graph, t) and sum(bool(why) for why in later) <= SETTLED_CUTS
 
 
 def _ways(graph: RobotGraph, cuts: Sequence[int]) -> Float[np.ndarray, " s"]:
