@@ -301,7 +301,7 @@ class Editor:
 
     def _stale(self, asked: Mapping[str, Any]) -> bool:
         """Whether the page shows another edition. Raises UsageError where it asks of a part that is not there."""
-        stale = asked.get("edition", self.edition) != self.edition
+        stale = bool(asked.get("edition", self.edition) != self.edition)
         if not stale:
             _number(asked.get("part", 0), len(self.result.components), "part")
         return stale
