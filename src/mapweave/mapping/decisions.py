@@ -94,6 +94,11 @@ class Decisions:
     places: tuple[PlaceRow, ...] = ()
     masks: tuple[MaskRow, ...] = ()
 
+    @property
+    def edited(self) -> bool:
+        """Whether somebody says anything."""
+        return bool(self.masks) or any(row.edited for row in self.pairs) or any(row.edited for row in self.places)
+
     def pair(self, a: str, b: str) -> PairRow | None:
         """What somebody says of two robots otherwise than their scans, seen from robot a."""
         for row in self.pairs:
