@@ -40,6 +40,19 @@ def test_every_verb_refuses_arguments_of_another_kind_by_name(verb, name, given,
         getattr(mapweave, verb)(first, **{name: given})
 
 
+@pytest.mark.parametrize(
+    ("verb", "name", "told"),
+    [
+        ("map", "resume", r"give laser=LaserOptions\(resume=\.\.\.\)"),
+        ("map", "resolutoin", r"did you mean resolution\?"),
+        ("locate", "xyz", "expected one of sightings, "),
+    ],
+)
+def test_an_option_that_a_verb_does_not_have_is_refused_with_where_it_is(verb, name, told):
+    with pytest.raises(UsageError, match=rf"^{name}: {verb} has no such option.*{told}"):
+        getattr(mapweave, verb)("nowhere", **{name: 1})
+
+
 def test_numbers_and_truth_values_of_numpy_are_taken():
     with pytest.raises(mapweave.ReaderError, match="nowhere"):
         mapweave.map("nowhere", robots=np.array(["1"]), seed=np.int64(2), force=np.bool_(0), resolution=np.float32(0.1))
