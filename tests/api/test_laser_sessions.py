@@ -64,6 +64,18 @@ def test_what_was_decided_on_a_result_holds_where_it_goes_on(sessions, logs, tmp
     assert written(tmp_path / "one") == written(tmp_path / "both")
 
 
+def test_what_was_decided_on_a_result_holds_where_it_is_fused(sessions, tmp_path):
+    shutil.copytree(sessions / "first", tmp_path / "first")
+    file = tmp_path / "first" / "decisions.toml"
+    file.write_text(file.read_text().replace('decision = "together"', 'decision = "apart"', 1) + MASK)
+    fused = mapweave.fuse([tmp_path / "first", sessions / "both"])  # the first robot of which is the same log
+    assert fused.said is not None
+    assert [mask.robot for mask in fused.said.masks] == ["first/robot1"]
+    assert sum(row.edited for row in fused.said.places) == 1
+    there = fused.maps[0].grid.to_numpy()
+    assert (there == -1).sum() > (mapweave.load(sessions / "first").maps[0].grid.to_numpy() == -1).sum()
+
+
 MASK = """
 [[masks]]
 robot = "1"

@@ -25,6 +25,7 @@ from ..io.kept import part, parts
 from ..io.laser_logs import LaserSource, is_bag, is_laser_log, read_laser, robots_of
 from ..io.laser_state import LaserState, read_laser_states
 from ..io.ros_map import YAML_SUFFIXES, read_ros_map
+from ..io.saved_result import NAME as RESULT
 from ..io.saved_result import read_result
 from ..laser.laser_map import LaserMap
 from ..mapping.config import LaserConfig
@@ -152,9 +153,9 @@ def state_before(before: Path) -> LaserState:
         return LaserState((known_map(read_ros_map(before).grid(), str(before)),), {})
     state, file = read_laser_states(before), before / NAME
     said = read_decisions(file) if file.is_file() else None
-    if said is None or not said.edited:
+    if said is None or not said.edited or not (before / RESULT).is_file():
         return state
-    return replace(state, maps=read_result(before).before or state.maps, said=said)
+    return replace(state, maps=getattr(read_result(before), "before", ()) or state.maps, said=said)
 
 
 def _woven(
