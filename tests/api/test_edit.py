@@ -13,7 +13,7 @@ import pytest
 import mapweave
 from mapweave.api.view import Editor
 from mapweave.core import se2
-from mapweave.core.errors import UsageError
+from mapweave.core.errors import ReaderError, UsageError
 
 pytestmark = pytest.mark.usefixtures("_remembered")
 
@@ -153,6 +153,38 @@ def test_what_was_refused_only_beside_another_place_stays_forbidden_when_read_ag
     same_bytes(tmp_path / "out", tmp_path / "map")
 
 
+def test_a_page_that_shows_what_no_longer_holds_decides_nothing_and_is_shown_what_does(team, tmp_path):
+    with served(team, decisions=tmp_path / "said.toml") as address:
+        first = post(address, "state", {})
+        (pair,) = first["pairs"]
+        apart = {"pair": pair["robots"], "decision": "apart", "part": 0, "edition": first["edition"]}
+        told = post(address, "decide", apart)
+        assert "stale" not in told
+        place = {"place": len(first["places"]) - 1, "decision": "apart", "part": 0}  # numbered as in the first page
+        for path, asked in {"decide": place, "undo": {"part": 0}}.items():
+            late = post(address, path, {**asked, "edition": first["edition"]})
+            assert late == {**told, "stale": True}
+        assert post(address, "undo", {"part": 1, "edition": told["edition"]})["edition"] == first["edition"]
+        assert "error" in post(address, "undo", {"part": "x"})
+
+
+def test_editing_goes_on_from_the_file_it_saves_to_and_each_decision_in_it_can_be_undone(team, tmp_path):
+    file = tmp_path / "said.toml"
+    box = {"box": [0.0, 0.0, 1.0, 1.0], "cells": "free", "part": 0}
+    with served(team, decisions=file) as address:
+        post(address, "decide", {"place": 0, "part": 0, "decision": "apart"})
+        saved = post(address, "decide", box)
+        post(address, "save", {})
+    with served(team, decisions=file) as address:
+        again = post(address, "state", {})
+        assert (again["said"], again["undo"], again["scene"]) == (2, 2, saved["scene"])
+        assert post(address, "undo", {})["said"] == 1
+        assert post(address, "undo", {})["said"] == 0
+    file.write_text(file.read_text().replace('"1" = "', '"1" = "0'))
+    with pytest.raises(ReaderError, match="it is of another result"):
+        mapweave.edit(team, decisions=file, port=0)
+
+
 @pytest.mark.parametrize(
     ("path", "asked", "told"),
     [
@@ -164,10 +196,13 @@ def test_what_was_refused_only_beside_another_place_stays_forbidden_when_read_ag
         ("decide", {"lay": 0, "pose": [0, 0, 0]}, "another map than the one it is laid on"),
         ("decide", {"lay": 0, "pose": [0, "x", 0]}, "pose: expected x, y, theta"),
         ("decide", {"lay": 0, "pose": [0, 1e999, 0]}, "pose: expected x, y, theta"),
+        ("decide", {"lay": 0, "pose": [0, 10**400, 0]}, "pose: expected x, y, theta"),
+        ("decide", {"box": [0, 0, 1, 10**400], "cells": "free"}, "box: expected x0, y0, x1, y1"),
         ("decide", {"box": [0, 0, 1], "cells": "free"}, "box: expected x0, y0, x1, y1"),
         ("decide", {"box": [0, 0, 1, 1e999], "cells": "free"}, "box: expected x0, y0, x1, y1"),
         ("decide", {"box": [0, 0, 1, 1], "cells": "gone"}, "cells: expected one of free, unknown"),
         ("undo", {}, "nothing to undo"),
+        ("undo", {"part": "x"}, "part: expected a number"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_decided_is_told_and_changes_nothing(one_server, path, asked, told):

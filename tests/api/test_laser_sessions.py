@@ -46,6 +46,57 @@ def test_a_second_session_gives_the_bytes_of_one_run_of_both_logs(sessions):
     assert one[1]["components"] == [["1", "2"]]
 
 
+@pytest.mark.parametrize("by_hand", [True, False])
+def test_what_was_decided_on_a_result_holds_where_it_goes_on(sessions, logs, tmp_path, by_hand):
+    """Of what `edit` saved whole, and of a file beside which the map is as it was."""
+    first = tmp_path / "first"
+    shutil.copytree(sessions / "first", first)
+    text = (first / "decisions.toml").read_text().replace('decision = "together"', 'decision = "apart"', 1)
+    (first / "decisions.toml").write_text(text + MASK)
+    if not by_hand:
+        mapweave.map(logs[0], tmp_path / "edited", decisions=first / "decisions.toml")
+        first = tmp_path / "edited"
+    mapweave.map(logs[1], tmp_path / "both", laser=LaserOptions(resume=first))
+    (tmp_path / "said.toml").write_text(text + MASK)
+    one = mapweave.map(logs, tmp_path / "one", decisions=tmp_path / "said.toml")
+    assert one.said is not None
+    assert one.said.masks
+    assert written(tmp_path / "one") == written(tmp_path / "both")
+
+
+def test_what_was_decided_on_a_result_holds_where_it_is_fused(sessions, tmp_path):
+    shutil.copytree(sessions / "first", tmp_path / "first")
+    file = tmp_path / "first" / "decisions.toml"
+    file.write_text(file.read_text().replace('decision = "together"', 'decision = "apart"', 1) + MASK)
+    fused = mapweave.fuse([tmp_path / "first", sessions / "both"])  # the first robot of which is the same log
+    assert fused.said is not None
+    assert [mask.robot for mask in fused.said.masks] == ["first/robot1"]
+    assert sum(row.edited for row in fused.said.places) == 1
+    there = fused.maps[0].grid.to_numpy()
+    assert (there == -1).sum() > (mapweave.load(sessions / "first").maps[0].grid.to_numpy() == -1).sum()
+
+
+MASK = """
+[[masks]]
+robot = "1"
+box = [-1.0, -1.0, 1.5, 1.5]
+cells = "unknown"
+"""
+
+
+def test_a_robot_whose_log_has_become_longer_keeps_what_was_decided_on_it(logs, tmp_path):
+    begun = cut(logs[0], 0, len(logs[0].scans) * 2 // 3)
+    mapweave.map(begun, tmp_path / "begun")
+    file = tmp_path / "begun" / "decisions.toml"
+    file.write_text(file.read_text() + MASK)
+    whole = mapweave.map(logs[0], tmp_path / "whole", laser=LaserOptions(resume=tmp_path / "begun"))
+    assert whole.said is not None
+    assert [mask.cells for mask in whole.said.masks] == ["unknown"]
+    shutil.rmtree(tmp_path / "begun" / "state")
+    with pytest.raises(DataError, match="the result is not whole, copy all of it"):
+        mapweave.map(logs[1], laser=LaserOptions(resume=tmp_path / "begun"))
+
+
 def test_scans_that_come_one_by_one_go_on_from_a_saved_map_as_their_log_does(sessions, logs, tmp_path):
     slam = mapweave.LaserSlam(resume=sessions / "first")
     assert slam.robot == "2"

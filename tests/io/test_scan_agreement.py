@@ -83,14 +83,19 @@ def test_what_contradicts_the_wheels_is_told(wrong, told):
         assert re.match(r"(?s).*" + told, found.text), found
 
 
-def test_odometry_in_millimetres_is_left_out_and_told():
+@pytest.mark.parametrize(("unit", "told"), [(1000.0, "the odometry is not used"), (39.37, "in inches"), (1.0, None)])
+def test_odometry_in_another_unit_is_left_out_and_told(unit, told):
     log = RawLog("1", "here", "")
     for k, scan in enumerate(drive(5)):
-        odometry = scan.odometry * np.array([1000.0, 1000.0, 1.0])
+        odometry = scan.odometry * np.array([unit, unit, 1.0])
         log.scans.append(
             RawScan(0.2 * k, scan.ranges, None, scan.angle_min, scan.angle_increment, 0.0, REACH, odometry=odometry)
         )
     read = log.finish()
+    if told is None:
+        assert not read.findings
+        return
     assert [f.code for f in read.findings] == ["wheels-fast", "no-odometry"]
+    assert told in read.findings[0].action
     assert read.odometry is None
     assert all(scan.odometry is None for scan in read.scans)

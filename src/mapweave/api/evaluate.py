@@ -33,7 +33,7 @@ from ..evaluation.trajectory import (
     score_relations,
     score_tracks,
 )
-from ..io.directory import plain, read_json
+from ..io.directory import no_result, plain, read_json
 from ..io.landmark_truth import TABLE, is_relations, read_relations, read_robot_truth, read_survey
 from ..io.positions import Positions, read_network, read_positions, read_track, track_files
 from ..io.pyfg import is_pyfg, read_pyfg
@@ -525,7 +525,7 @@ def evaluate(directory: Path | str | ResultBase, truth: Truths) -> Evaluation:
 def judged(folder: Path, truth: Sequence[Path]) -> Evaluation:
     """The score as its judge gives it, also where nothing could be scored."""
     if not (folder / "metrics.json").is_file():
-        raise ReaderError(folder, "expected a mapweave result with metrics.json, found none")
+        raise no_result(folder)
     if not truth:
         raise UsageError("--truth: expected a path, found none")
     expect_there(truth)

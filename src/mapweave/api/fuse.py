@@ -15,16 +15,17 @@ from ..fusion.compared_logs import scales_apart
 from ..fusion.config import FuseConfig
 from ..fusion.join import fuse as join_maps
 from ..io.directory import check_target
-from ..io.laser_state import holds_state, laser_homes, read_laser_states
+from ..io.laser_state import holds_state, laser_homes
 from ..io.local_map import read_local_map
 from ..io.saved_result import expect_whole
 from ..landmarks.landmark_map import LocalMap
 from ..laser.laser_map import LaserMap
+from ..mapping.decisions import Decisions
 from ..report.result import written
 from .evaluate import expect_truth
 from .in_memory import Truths, decisions_of_argument, result_folders, truth_files
 from .laser_result import DecisionsGiven, LaserResult, same_logs, woven_result
-from .map_laser import LaserMapConfig
+from .map_laser import LaserMapConfig, state_before
 from .map_options import expect_there
 from .result import MapResult
 from .team import TeamResult, Watch, team_result
@@ -53,12 +54,13 @@ def fuse_laser(
     cfg = load(LaserMapConfig, config).laser
     cfg.check()
     maps: list[LaserMap] = []
+    held: list[Decisions] = []
     for k, (folder, name) in enumerate(zip(folders, names, strict=True)):
         on_progress("reading", k, len(folders))
-        maps += [
-            _renamed_laser(local_map, f"{name}/{robot_name(local_map.robot)}")
-            for local_map in read_laser_states(folder).maps
-        ]
+        state = state_before(folder)
+        names_now = {local_map.robot: f"{name}/{robot_name(local_map.robot)}" for local_map in state.maps}
+        maps += [_renamed_laser(local_map, names_now[local_map.robot]) for local_map in state.maps]
+        held += [] if state.said is None else [state.said.renamed(names_now)]
     if config is None:
         cfg = replace(cfg, resolution=min(local_map.grid.resolution for local_map in maps))
     findings = []
@@ -72,8 +74,22 @@ def fuse_laser(
         seed=seed,
         truth=truth,
         findings=findings,
-        decisions=decisions,
+        decisions=_said_of(held, maps) if decisions is None else decisions,
         on_progress=on_progress,
+    )
+
+
+def _said_of(held: Sequence[Decisions], maps: Sequence[LaserMap]) -> Decisions | None:
+    """What was decided by hand on the results, of robots whose maps are fused; None where nothing was."""
+    there = {local_map.robot: local_map.robot for local_map in maps}
+    said = [one.renamed(there) for one in held]
+    if not said:
+        return None
+    return Decisions(
+        {robot: of for one in said for robot, of in one.logs.items()},
+        tuple(row for one in said for row in one.pairs),
+        tuple(row for one in said for row in one.places),
+        tuple(row for one in said for row in one.masks),
     )
 
 

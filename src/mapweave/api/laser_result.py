@@ -47,7 +47,7 @@ from ..report.style import Target
 from ..report.woven import component_scene, told_component, told_merge
 from .evaluate import Evaluation, judged
 
-DecisionsGiven = Path | Mapping[str, Any]
+DecisionsGiven = Path | Mapping[str, Any] | Decisions
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -389,7 +389,10 @@ def _as_said(
     if given is None:
         return maps, None, []
     path: object = given if isinstance(given, Path) else "decisions"
-    said = read_decisions(given) if isinstance(given, Path) else decisions_of(given)
+    if isinstance(given, Decisions):
+        said = given
+    else:
+        said = read_decisions(given) if isinstance(given, Path) else decisions_of(given)
     expect_of(said, maps, path)
     out: list[LaserMap] = []
     findings: list[Finding] = []

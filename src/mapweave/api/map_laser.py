@@ -20,12 +20,16 @@ from ..core.laser_log import LaserLog
 from ..core.names import robot_name
 from ..core.paths import path_of
 from ..core.workers import Progress, no_progress, worker_pool
+from ..io.decisions import NAME, read_decisions
 from ..io.kept import part, parts
 from ..io.laser_logs import LaserSource, is_bag, is_laser_log, read_laser, robots_of
 from ..io.laser_state import LaserState, read_laser_states
 from ..io.ros_map import YAML_SUFFIXES, read_ros_map
+from ..io.saved_result import NAME as RESULT
+from ..io.saved_result import read_result
 from ..laser.laser_map import LaserMap
 from ..mapping.config import LaserConfig
+from ..mapping.decisions import Decisions
 from ..mapping.known_map import known_map
 from ..mapping.laser_mapping import elsewhere_from, map_laser
 from .laser_result import LaserResult, laser_metrics, scored, woven_result
@@ -140,14 +144,18 @@ def _going_on(before: Path, logs: Sequence[Path | LaserLog], options: MapOptions
     made = _mapped(jobs, options, state.maps)
     idle = _of_recordings(logs, options)
     maps = resumption.maps([_with_idle_options(local_map, options, idle) for local_map in made])
-    return _woven(maps, cfg, options, {**state.starts, **options.starts()}, resumption.notes)
+    return _woven(maps, cfg, options, {**state.starts, **options.starts()}, resumption.notes, resumption.said)
 
 
 def state_before(before: Path) -> LaserState:
-    """What further logs are added to: a finished result, or the walls of a `map.yaml`."""
+    """What further logs are added to: a finished result and what was decided on it, or the walls of a `map.yaml`."""
     if before.suffix.lower() in YAML_SUFFIXES and not before.is_dir():
         return LaserState((known_map(read_ros_map(before).grid(), str(before)),), {})
-    return read_laser_states(before)
+    state, file = read_laser_states(before), before / NAME
+    said = read_decisions(file) if file.is_file() else None
+    if said is None or not said.edited or not (before / RESULT).is_file():
+        return state
+    return replace(state, maps=getattr(read_result(before), "before", ()) or state.maps, said=said)
 
 
 def _woven(
@@ -156,6 +164,7 @@ def _woven(
     options: MapOptions,
     starts: Mapping[str, Sequence[float]],
     notes: Sequence[str],
+    said: Decisions | None = None,
 ) -> LaserResult:
     return woven_result(
         maps,
@@ -167,7 +176,7 @@ def _woven(
         notes=notes,
         jobs=options.jobs,
         executor=options.executor,
-        decisions=options.decisions,
+        decisions=said if options.decisions is None else options.decisions,
         on_progress=options.on_progress,
     )
 
@@ -337,6 +346,13 @@ class Resumed:
     state: LaserState
     robots: tuple[str, ...]
     notes: tuple[str, ...]
+
+    @property
+    def said(self) -> Decisions | None:
+        """What was decided on the result, also of a robot whose log has become longer and has another digest."""
+        said = self.state.said
+        logs = {} if said is None else {robot: of for robot, of in said.logs.items() if robot not in self.robots}
+        return None if said is None else replace(said, logs=logs)
 
     def maps(self, fresh: Sequence[LaserMap]) -> tuple[LaserMap, ...]:
         """Every robot's map: the old ones, those that went on in their place, then the new ones."""

@@ -148,14 +148,20 @@ class MapOptions:
             raise UsageError("--online: smooths while the logs play, and --no-refine leaves smoothing out: one of both")
         if self.resolution is not None and not 0 < self.resolution < math.inf:
             raise UsageError(f"--resolution must be more than 0 m, found {self.resolution}")
+        self._check_robots()
+        files = (self.calibration, self.survey, self.decisions)
+        expect_there((*self.truth, *(path for path in files if isinstance(path, Path))))
+
+    def _check_robots(self) -> None:
         for robot, part in self.share.items():
             if not 0 < part <= 1:
                 raise UsageError(f"--share of robot {robot} must be in (0, 1], found {part}")
+        for robot, pose in self.start.items():
+            if not all(map(math.isfinite, pose)):
+                raise UsageError(f"--start of robot {robot}: expected finite numbers, found {pose}")
         for robot, sd in self.start_sd.items():
             if not 0 < sd < math.inf:
                 raise UsageError(f"--start of robot {robot}: expected a sigma above 0 m, found {sd}")
-        files = (self.calibration, self.survey, self.decisions)
-        expect_there((*self.truth, *(path for path in files if isinstance(path, Path))))
 
     def laser_alone(self) -> list[str]:
         """The options for laser logs alone that were given, as the command line spells them."""

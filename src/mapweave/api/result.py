@@ -12,7 +12,7 @@ from ..core.errors import ReaderError, UsageError
 from ..core.findings import Finding, Verdict
 from ..core.paths import checked_arguments
 from ..core.version import __version__
-from ..io.directory import MARKERS, plain, read_json, result_file, write_json
+from ..io.directory import MARKERS, no_result, plain, read_json, result_file, write_json
 from ..io.saved_result import read_result
 from ..report.result import ResultBase, Rows
 from ..report.score import add_score, write_score_report
@@ -146,7 +146,7 @@ def load(folder: Path | str, kind: type[R] | None = None) -> Result | R:
     home = Path(folder)
     path = next((path for path in (home / name for name in MARKERS) if path.is_file()), None)
     if path is None:
-        raise ReaderError(home, "expected a mapweave result with metrics.json, found none")
+        raise no_result(home)
     metrics = read_json(path)
     result = read_result(home)
     if kind is not None and not isinstance(result, kind):

@@ -343,7 +343,15 @@ class LaserSlam:
         if there is None:
             return result_of([local_map], self.cfg, seed=self.seed)
         maps, starts = there.maps([local_map]), self._before.starts
-        return woven_result(maps, self.cfg, seed=self.seed, starts=starts, notes=there.notes, on_progress=on_progress)
+        return woven_result(
+            maps,
+            self.cfg,
+            seed=self.seed,
+            starts=starts,
+            notes=there.notes,
+            decisions=there.said,
+            on_progress=on_progress,
+        )
 
     @checked_arguments
     def save(self, folder: Path | str, *, force: bool = False) -> LaserResult:

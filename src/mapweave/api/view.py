@@ -24,7 +24,7 @@ from ..core.names import robot_name
 from ..core.paths import checked_arguments, is_path, path_of
 from ..core.rows import spread
 from ..core.workers import one_blas_thread
-from ..io.decisions import NAME, decisions_text, read_decisions
+from ..io.decisions import LARGEST, NAME, decisions_text, expect_of, read_decisions
 from ..io.directory import check_target, result_file
 from ..io.finished import read_finished
 from ..io.saved_result import expect_whole
@@ -142,8 +142,8 @@ def edit(
     out
         Where saving writes the whole result too (nowhere).
     decisions
-        The file that saving writes decisions to (decisions.toml of the result); editing goes on from those in the
-        result's own.
+        The file that saving writes decisions to (decisions.toml of the result); editing goes on from what it holds,
+        where it is there already, else from those in the result's own.
     port
         Where the page stands (8643); 0 is any that is free.
     browser
@@ -198,16 +198,20 @@ class Editor:
         self.result = load(self.folder, LaserResult)
         if self.result.config is None or not self.result.components:
             raise UsageError(f"{self.folder}: expected laser maps of the graph method, found none")
-        if (self.folder / NAME).is_file():
-            said = read_decisions(self.folder / NAME)
+        begun = self.file if self.file.is_file() else self.folder / NAME
+        if begun.is_file():
+            said = read_decisions(begun)
             edited: list[PairRow | PlaceRow] = [row for row in said.pairs if row.edited]
             edited += [row for row in said.places if row.edited]
             self.rows = {_key(row): row for row in ({**asdict(mask), "box": list(mask.box)} for mask in said.masks)}
             for row in edited:
                 held = {name: value for name, value in asdict(row).items() if value not in {None, ""}}
                 self.rows[_key(held)] = held | ({"pose": list(row.pose)} if row.pose is not None else {})
+            expect_of(said, self.result.maps, begun)
         if self.rows:
             self._solve(self.rows)
+        said_so_far = list(self.rows.items())
+        self.past = [dict(said_so_far[:n]) for n in range(len(said_so_far))]
 
     def state(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         """What the page shows: one part of the result as a scene, every part's outline, pairs and places."""
@@ -236,6 +240,7 @@ class Editor:
                 }
                 for m in self.result.merges
             ],
+            "edition": self.edition,
             "said": len(self.rows),
             "undo": len(self.past),
             "saved": self.saved,
@@ -263,8 +268,11 @@ class Editor:
 
         asked: `place`, its number in `part`, or `pair`, two robots, each with `decision`; or `lay`, the part that lies
         on `part` at `pose`, x, y, theta of its frame; or `box`, x0, y0, x1, y1 there, and what its `cells` are to be.
+        Where the page shows another `edition` than that of now nothing is decided: its numbers mean other places.
         """
         with self._lock:
+            if self._stale(asked):
+                return self._now(asked) | {"stale": True}
             row = self._row(asked)
             rows = dict(self.rows)
             rows.pop(_key(row), None)
@@ -273,22 +281,41 @@ class Editor:
             self._solve(rows)
             self.past.append(self.rows)
             self.rows, self.saved = rows, False
-        return self.state({"part": min(asked.get("part", 0), len(self.result.components) - 1)})
+            return self._now(asked)
 
     def undo(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         """The state before the last decision."""
         with self._lock:
+            if self._stale(asked):
+                return self._now(asked) | {"stale": True}
             if not self.past:
                 raise UsageError("there is nothing to undo")
             self._solve(self.past[-1])
             self.rows, self.saved = self.past.pop(), False
-        return self.state({"part": min(asked.get("part", 0), len(self.result.components) - 1)})
+            return self._now(asked)
+
+    @property
+    def edition(self) -> str:
+        """What is said, in short: a page that shows another one numbers other places."""
+        return hashlib.sha256(repr(self.rows).encode()).hexdigest()[:16]
+
+    def _stale(self, asked: Mapping[str, Any]) -> bool:
+        """Whether the page shows another edition. Raises UsageError where it asks of a part that is not there."""
+        stale = bool(asked.get("edition", self.edition) != self.edition)
+        if not stale:
+            _number(asked.get("part", 0), len(self.result.components), "part")
+        return stale
+
+    def _now(self, asked: Mapping[str, Any]) -> dict[str, Any]:
+        """The state, of the part that is shown where it is there still."""
+        part = asked.get("part", 0)
+        return self.state({"part": part if type(part) is int and 0 <= part < len(self.result.components) else 0})
 
     def save(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         """The decisions are in their file and, where asked for, the result in its folder; tells where."""
         del asked
-        text = decisions_text(self.result.maps, self.result.merges, self.result.said)
         with self._lock:
+            text = decisions_text(self.result.maps, self.result.merges, self.result.said)
             try:
                 with result_file(self.file) as work:
                     work.write_text(text, encoding="utf-8")
@@ -323,7 +350,7 @@ class Editor:
         part = _number(asked.get("part", 0), len(parts), "part")
         if "lay" in asked:
             other = parts[_number(asked["lay"], len(parts), "lay")]
-            return self._laid(parts[part], other, _pose(asked.get("pose")))
+            return self._laid(parts[part], other, _numbers(asked.get("pose"), "pose", "x, y, theta"))
         if "box" in asked:
             return self._mask(parts[part], asked["box"], asked.get("cells"))
         decision = asked.get("decision")
@@ -349,15 +376,11 @@ class Editor:
     def _mask(self, here: WovenMap, box: object, cells: object) -> Row:
         """The row of a rectangle of a part's frame, in the map of its first robot."""
         x0, y0, turn = here.tracks[here.robots[0]].pose[0].tolist()
-        if not (isinstance(box, list) and len(box) == 4 and all(type(v) in {int, float} for v in box)):
-            raise UsageError(f"box: expected x0, y0, x1, y1, found {box!r:.40}")
+        given = _numbers(box, "box", "x0, y0, x1, y1") - (x0, y0, x0, y0)
         if cells not in CELLS:
             raise UsageError(f"cells: expected one of {', '.join(CELLS)}, found {cells!r:.40}")
         if abs(turn) > UNTURNED:
             raise UsageError("a map that lies in the world by fixes is turned: write its box into the file by hand")
-        given = np.array(box, dtype=float) - (x0, y0, x0, y0)
-        if not np.isfinite(given).all():
-            raise UsageError(f"box: expected x0, y0, x1, y1, found {box!r:.40}")
         return {"robot": here.robots[0], "box": [round(v, 3) + 0.0 for v in given.tolist()], "cells": cells}
 
     def _laid(self, here: WovenMap, other: WovenMap, pose: np.ndarray) -> Row:
@@ -418,9 +441,8 @@ def _number(given: object, end: int, name: str) -> int:
     return given
 
 
-def _pose(given: object) -> np.ndarray:
-    if isinstance(given, list) and len(given) == 3 and all(type(v) in {int, float} for v in given):
-        pose = np.array(given, dtype=float)
-        if np.isfinite(pose).all():
-            return pose
-    raise UsageError(f"pose: expected x, y, theta, found {given!r:.40}")
+def _numbers(given: object, name: str, told: str) -> np.ndarray:
+    numbers = isinstance(given, list) and all(type(v) in {int, float} and abs(v) < LARGEST for v in given)
+    if isinstance(given, list) and numbers and len(given) == told.count(",") + 1:
+        return np.array(given, dtype=float)
+    raise UsageError(f"{name}: expected {told}, found {given!r:.40}")

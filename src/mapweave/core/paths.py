@@ -3,6 +3,7 @@
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass
+from difflib import get_close_matches
 from functools import wraps
 from numbers import Integral, Real
 from os import PathLike
@@ -106,6 +107,16 @@ class _Expected:
         return isinstance(given, self.kinds) or (self.truth and kind_of(given) in TRUTHS)
 
 
+def _told_instead(name: str, each: Mapping[str, "_Expected | None"]) -> str:
+    """In words, which object of options has one of that name, else which names are like it."""
+    for own, expected in each.items():
+        for kind in () if expected is None else expected.kinds:
+            if name in getattr(kind, "__dataclass_fields__", {}):
+                return f": give {own}={kind.__name__}({name}=...)"
+    like = get_close_matches(name, each)
+    return f": did you mean {' or '.join(like)}?" if like else f", expected one of {', '.join(each)}"
+
+
 def checked_arguments(verb: Callable[P, T]) -> Callable[P, T]:
     """`verb` raises UsageError by the argument's name for what is of another kind than its annotation says.
 
@@ -115,12 +126,15 @@ def checked_arguments(verb: Callable[P, T]) -> Callable[P, T]:
     """
     parameters = inspect.signature(verb).parameters
     names = tuple(parameters)
+    takes_any = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values())
     each = {name: _Expected.of(parameter.annotation) for name, parameter in parameters.items()}
 
     @wraps(verb)
     def checked(*args: P.args, **options: P.kwargs) -> T:
         for name, given in (*zip(names, args, strict=False), *options.items()):
             expected = each.get(name)
+            if name not in parameters and not takes_any:
+                raise UsageError(f"{name}: {verb.__name__} has no such option{_told_instead(name, each)}")
             if expected is not None and not expected.takes(given):
                 raise UsageError(f"{name}: expected {expected.words}, found {kind_of(given)}")
         return verb(*args, **options)

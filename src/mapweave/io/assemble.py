@@ -30,13 +30,14 @@ from .scan_checks import (
     rows_by_scanner,
     scan_agreement,
     unit_of_ranges,
+    wheels_in_inches,
     without_false_returns,
 )
 
 PAIRS = 400  # scan pairs looked at, at most
 VOTES = 10  # pairs that must speak before anything is said
 SHARE = 0.75  # of them against the odometry
-FASTEST = 25.0  # [m/s] at the median of the moments in which a robot drives
+FAST, FASTEST = 2.0, 25.0  # [m/s] at the median of the moments in which a robot drives: in inches may be, none is
 
 
 def looks_mirrored(scans: Sequence[Scan]) -> bool:
@@ -174,8 +175,7 @@ class RawLog:
         if (unit := unit_of_ranges(scans, [scan.odometry for scan in log_scans])) is not None:
             raise DataError(f"{self.source}: {unit}: expected metres")
         t = np.array([raw.t for raw in scans])
-        if log_scans[0].odometry is not None and (speed := _speed(log_scans, t)) > FASTEST:
-            self.find("wheels-fast", speed, "the odometry is not used")
+        if log_scans[0].odometry is not None and self._too_fast(scans, log_scans, t):
             log_scans, odometry = [replace(scan, odometry=None) for scan in log_scans], None
         if self.inertial is not None:
             log_scans, odometry = self._with_turns(self.inertial, t, log_scans, odometry)
@@ -228,6 +228,15 @@ class RawLog:
             return scans
         self.dropped.update(left)
         return kept
+
+    def _too_fast(self, raw: Sequence[RawScan], scans: Sequence[Scan], t: Float[np.ndarray, " n"]) -> bool:
+        """Whether no robot drives as the wheels tell, which is a finding then."""
+        speed = _speed(scans, t)
+        inches = speed > FAST and wheels_in_inches(raw, [scan.odometry for scan in scans])
+        if inches or speed > FASTEST:
+            unit = ", in inches beside the ranges," if inches else ""
+            self.find("wheels-fast", speed, f"the odometry{unit} is not used")
+        return inches or speed > FASTEST
 
     def _mend_stamps(self) -> None:
         """Scans whose stamps cannot be get new ones, in the file's order; odometry rows too, or they are left out."""

@@ -172,6 +172,12 @@ def plain(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
+def no_result(folder: Path) -> ReaderError:
+    """What is said of a folder without a result."""
+    there = "expected a mapweave result with metrics.json, found none"
+    return ReaderError(folder, there if folder.exists() else "no such file or folder")
+
+
 def _is_result(out: Path) -> bool:
     return any(_has_version(out / name) for name in MARKERS)
 

@@ -17,6 +17,7 @@ from ..core.records import Track
 from ..core.version import __version__
 from ..laser.laser_map import LaserMap, ScanRecords
 from ..laser.odometry_calibration import OdometryCalibration
+from ..mapping.decisions import Decisions
 from .directory import read_json, write_json
 from .laser_map import NAME as GRID
 from .laser_map import read_grid
@@ -66,10 +67,13 @@ AGAIN = "map its logs again with --method graph"
 
 @dataclass(frozen=True, slots=True)
 class LaserState:
-    """maps: every robot's own, in its own frame; starts: robot -> x, y, theta[, sigma] that were told of it."""
+    """maps: every robot's own, in its own frame; starts: robot -> x, y, theta[, sigma] that were told of it; said: what
+    somebody decided on them, which is not in `maps` then.
+    """
 
     maps: tuple[LaserMap, ...]
     starts: Mapping[str, tuple[float, ...]]
+    said: Decisions | None = None
 
 
 def write_laser_states(folder: Path, maps: Sequence[LaserMap], starts: Mapping[str, Sequence[float]]) -> None:
@@ -159,6 +163,8 @@ def why_no_state(folder: Path) -> str:
     scanned = any((folder / "local").rglob(GRID))
     if (folder / "landmarks.csv").is_file() or any((folder / "local").rglob("local_map.json")):
         return f"expected a result of laser logs, found one of {'a mixed team' if scanned else 'landmarks'}"
+    if scanned and any((folder / "local").rglob(GRAPH)):
+        return "it holds no state/: the result is not whole, copy all of it"
     if scanned:
         return f"the method that made it keeps no graph of keyframes: {AGAIN}"
     return "expected a result of laser logs, found something else"

@@ -409,6 +409,13 @@ def unit_of_ranges(scans: Sequence[Ranged], wheels: Sequence[np.ndarray | None])
     return f"the ranges are in centimetres or millimetres: {told}" if middle > FARTHEST else None
 
 
+def wheels_in_inches(scans: Sequence[Ranged], wheels: Sequence[np.ndarray | None]) -> bool:
+    """Whether ranges ahead change by the way of the wheels only where that counts as inches, not metres."""
+    inches = np.array([1.0, 1.0, UNITS["inches"]]) / UNITS["inches"]
+    ratio = _ratio(scans, [None if pose is None else pose * inches for pose in wheels])
+    return ratio is not None and 1 / ABOUT < ratio < ABOUT
+
+
 def _ratio(scans: Sequence[Ranged], wheels: Sequence[np.ndarray | None]) -> float | None:
     """By how many times the wheels' way the ranges ahead become shorter, in the median; None where too little tells."""
     places: list[tuple[Ranged, np.ndarray]] = []

@@ -18,7 +18,7 @@ from ..landmarks.landmark_map import LandmarkMap
 from ..team.robot_part import PARAMETERS
 from ..team.smooth import Calibration, is_observed
 from ..team.team_map import TeamMap
-from .directory import read_json, write_json
+from .directory import no_result, read_json, write_json
 from .npz import read_npz, write_npz
 from .table import read_table, write_table
 from .tum import read_result_track, write_track_covariance, write_tum
@@ -141,7 +141,7 @@ def read_metrics(folder: Path) -> dict[str, Any]:
     """`metrics.json` of a result; raises ReaderError when `folder` holds none."""
     path = folder / "metrics.json"
     if not path.is_file():
-        raise ReaderError(folder, "expected a mapweave result with metrics.json, found none")
+        raise no_result(folder)
     metrics = read_json(path)
     if "version" not in metrics:
         raise ReaderError(path, "expected the metrics of a mapweave result, found something else")

@@ -94,6 +94,24 @@ class Decisions:
     places: tuple[PlaceRow, ...] = ()
     masks: tuple[MaskRow, ...] = ()
 
+    @property
+    def edited(self) -> bool:
+        """Whether somebody says anything."""
+        return bool(self.masks) or any(row.edited for row in self.pairs) or any(row.edited for row in self.places)
+
+    def renamed(self, names: Mapping[str, str]) -> "Decisions":
+        """The rows of the robots in `names` alone, by their new names."""
+        return Decisions(
+            {names[robot]: of for robot, of in self.logs.items() if robot in names},
+            tuple(replace(r, a=names[r.a], b=names[r.b]) for r in self.pairs if {r.a, r.b} <= names.keys()),
+            tuple(
+                replace(r, robot_a=names[r.robot_a], robot_b=names[r.robot_b])
+                for r in self.places
+                if {r.robot_a, r.robot_b} <= names.keys()
+            ),
+            tuple(replace(r, robot=names[r.robot]) for r in self.masks if r.robot in names),
+        )
+
     def pair(self, a: str, b: str) -> PairRow | None:
         """What somebody says of two robots otherwise than their scans, seen from robot a."""
         for row in self.pairs:

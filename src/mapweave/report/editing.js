@@ -8,13 +8,16 @@ async function ask(path, asked = {}) {
   document.body.style.cursor = "progress";
   by("told").textContent = path === "/save" ? "saving" : "solving";
   try {
-    const answer = await fetch(path, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(asked) });
+    const answer = await fetch(path, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify({ ...(state && { edition: state.edition }), ...asked }) });
     const told = answer.headers.get("Content-Type") === "application/json" ? await answer.json() : { error: answer.statusText };
     if (told.error) by("told").textContent = told.error;
     else if (path === "/save") {
       state.saved = true;
       by("told").textContent = `saved: mapweave map LOGS --decisions ${told.file}${told.out ? ` gives what is now in ${told.out}` : ""}`;
-    } else show(told);
+    } else {
+      show(told);
+      if (told.stale) by("told").textContent = "not done: another page decided something since; this is what holds now";
+    }
   } catch (error) {
     by("told").textContent = `mapweave edit does not answer any more: ${error.message}`;
   }
