@@ -2,6 +2,7 @@
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -114,6 +115,32 @@ def test_a_map_that_radios_must_be_metres_unlike_for_is_not_good(tmp_path):
         assert (result.verdict == "doubtful") == bool(told) == bool(off)
     assert told[0].value["pair"] == "1 and 2"
     assert told[0].value["value"] > 1.0
+
+
+def test_odometry_that_is_lost_for_a_while_or_no_number_is_told_and_bends_nobody(tmp_path):
+    ways = {"robot1": driven(SQUARE, (0.0, 0.0, 0.0)), "robot2": driven(SQUARE[::-1] * 1.3, (2.0, 5.0, 2.0))}
+    log = ranged(ways, {"beacon1": (-2.0, 4.0), "beacon2": (5.0, 1.0)})
+    track = log.odometry["robot1"]
+    pose = track.pose.copy()
+    pose[250] = np.nan
+    heard = (track.t < 20.0) | (track.t > 40.0)
+    odometry = {**log.odometry, "robot1": replace(track, t=track.t[heard], pose=pose[heard])}
+    odometry = {name: replace(track, t=10.0 + 0.2 * track.t) for name, track in odometry.items()}
+    ranges = [
+        (log.names[a], log.names[b], 10.0 + 0.2 * log.t[of], log.z[of])
+        for a, b in sorted(set(zip(log.a.tolist(), log.b.tolist(), strict=True)))
+        for of in [(log.a == a) & (log.b == b)]
+    ]
+    write_range_bag(tmp_path / "log.mcap", odometry, ranges)
+    result = mapweave.map(tmp_path / "log.mcap")
+    told = {found.code: found for found in result.findings}
+    assert set(told) >= {"odometry-gap", "rows-impossible", "range-dropped"}
+    assert result.verdict == "good"
+    assert told["odometry-gap"].span == pytest.approx((14.0, 18.0), abs=0.1)
+    track, true = result.maps[0].tracks["robot2"], ways["robot2"]
+    there = se2.interpolate(track.t, 10.0 + 0.2 * true.t, true.pose)
+    off = se2.act(se2.align(track.pose[:, :2], there[:, :2]), track.pose[:, :2]) - there[:, :2]
+    assert np.hypot(*off.T).max() < 0.2
 
 
 def test_an_option_that_ranges_do_not_have_is_named_as_it_was_given(radios):

@@ -13,7 +13,7 @@ from mapweave.core.records import Track
 from mapweave.io.pyfg import write_pyfg
 from mapweave.ranges import network as range_log
 from mapweave.ranges.estimate import RangeEstimate, _mirrored, _Noise, _of_layout, _unlikely, estimate
-from mapweave.ranges.factors import lasting, motion_factor, range_factor
+from mapweave.ranges.factors import RadioColumns, lasting, motion_factor, range_factor
 from mapweave.ranges.network import Motions, RangeLog, RangeNetwork, Ranges, bodies_of, network_of
 from mapweave.ranges.start import lay_out, placements
 
@@ -46,12 +46,13 @@ def misses(net: RangeNetwork, found: RangeEstimate, truth: dict[str, Track], bea
 
 def test_jacobians_of_ranges_and_motions_equal_finite_differences():
     rng = np.random.default_rng(1)
-    x = rng.normal(size=11)
+    x = rng.normal(size=21)
     cov = np.tile(np.diag([1.0, 2.0, 3.0]), (2, 1, 1))
     motions = Motions(np.array([0, 1]), np.array([1, 2]), rng.normal(size=(2, 3)), cov)
-    ends, levers = (np.array([0, 1]), np.array([2, 0])), rng.normal(size=(2, 2, 2))
-    ranges = Ranges(*ends, np.zeros(2), np.ones(2), np.ones(2), *levers)
-    for factor in (motion_factor(motions), range_factor(ranges, np.array([9, 10]), np.ones(2), None)):
+    ends, levers, rates = (np.array([0, 1]), np.array([2, 0])), rng.normal(size=(2, 2, 2)), rng.normal(size=(2, 2, 2))
+    ranges = Ranges(*ends, np.zeros(2), np.ones(2), np.ones(2), *levers, *rates, np.array([-0.4, 0.3]))
+    radio = RadioColumns(*(np.array(at) for at in ([9, 10], [11, 12], [13, 14], [15, 16], [17, 18], [19, 20])))
+    for factor in (motion_factor(motions), range_factor(ranges, radio, np.ones(2), None)):
         assert_derivative(factor, x)
 
 
@@ -81,12 +82,64 @@ def test_the_mirror_image_is_tried_of_a_team_that_drove_straight_though_its_odom
         np.testing.assert_allclose(image[:, :2], best.pose[:, :2] * (1.0, -1.0), atol=1.0)
 
 
-@pytest.mark.parametrize("of", ["all", "one"])
-def test_ranges_that_drift_and_a_beacon_that_is_moved_make_a_doubtful_map(of):
+def test_biases_that_grow_are_found_and_told():
+    log = ranged(TWO, BEACONS)
+    assert "range-growth" not in {f.code for f in range_findings(log)}
+    net = network_of(replace(log, z=log.z + 0.5 * log.t / log.t.max()))
+    found = estimate(net)
+    assert max(misses(net, found, TWO, BEACONS).values()) < 0.15
+    assert np.mean([radio.growth for radio in found.radios]) == pytest.approx(0.5, abs=0.15)
+    assert "range-growth" in {f.code for f in _findings(net, found)}
+
+
+def hurried(log: RangeLog, times: float = 5.0) -> tuple[RangeLog, dict[str, Track]]:
+    """`log`, of robots of `TWO`, and their truth, in a fifth of the time."""
+    odometry = {n: replace(k, t=k.t / times) for n, k in log.odometry.items()}
+    return replace(log, odometry=odometry, t=log.t / times), {n: replace(k, t=k.t / times) for n, k in TWO.items()}
+
+
+@pytest.mark.parametrize(("late", "drift"), [(0.2, 0.0), (-0.2, 0.0), (0.0, 0.3)])
+def test_ranges_stamped_by_another_clock_than_odometry_are_moved_to_it(late, drift):
+    log, truth = hurried(ranged(TWO, BEACONS))
+    shift = late + drift * (log.t - log.t.mean()) / np.ptp(log.t)
+    net = network_of(replace(log, t=log.t + shift))
+    found = estimate(net)
+    assert max(misses(net, found, truth, BEACONS).values()) < 0.1
+    clocks = [told for told, _ in found.clocks.values()]
+    assert np.mean([told.lag for told in clocks]) == pytest.approx(late, abs=0.06)
+    assert np.mean([told.drift for told in clocks]) == pytest.approx(drift, abs=0.12)
+    told_of = {f.code for f in _findings(net, found)}
+    assert ("range-lag" in told_of) == (late != 0.0)
+
+
+def test_stamps_that_are_rounded_are_told_by_ranges_that_err_the_more_the_faster_robots_drive():
+    log, truth = hurried(ranged(TWO, BEACONS))
+    assert estimate(network_of(log)).jitter < 0.03
+    net = network_of(replace(log, t=np.round(log.t)))
+    found = estimate(net)
+    assert found.jitter == pytest.approx(np.sqrt(1 / 12), rel=0.4)
+    assert max(misses(net, found, truth, BEACONS).values()) < 0.1
+
+
+def test_odometry_that_slips_for_long_counts_less_then_and_bends_nobody():
+    log = ranged(TWO, BEACONS)
+    track = log.odometry["robot1"]
+    way = se2.between(track.pose[:-1], track.pose[1:])
+    way[75:150, :2] *= 0.5
+    pose = [track.pose[0]]
+    for step in way:
+        pose.append(se2.compose(pose[-1], step))
+    net = network_of(replace(log, odometry={**log.odometry, "robot1": replace(track, pose=np.array(pose))}))
+    found = estimate(net)
+    assert {slip.robot for slip in found.slips if slip.times > 3.0} == {"robot1"}
+    assert max(misses(net, found, TWO, BEACONS).values()) < 0.12
+    assert not [slip for slip in estimate(network_of(log)).slips if slip.times > 1.5]
+
+
+def test_a_beacon_that_is_moved_makes_a_doubtful_map():
     log = ranged(TWO, BEACONS)
     assert "ranges-drift" not in {f.code for f in range_findings(log)}
-    late = log.t / log.t.max()
-    moved = 1.5 * late if of == "all" else 1.5 * (late > 0.5) * (log.b == 2)
+    moved = 1.5 * (log.t > 0.5 * log.t.max()) * (log.b == 2)
     told = [f for f in range_findings(replace(log, z=log.z + moved)) if f.code == "ranges-drift"]
     assert len(told) == 1
     assert verdict(told) == "doubtful"
@@ -247,9 +300,9 @@ def test_the_noise_of_a_radio_is_neither_more_nor_less_than_its_ranges_scatter(n
     error = rng.normal(0.0, 0.05, n * pairs) + np.where(
         rng.random(n * pairs) < nlos, rng.uniform(0.5, 3.0, n * pairs), 0.0
     )
-    nobody, nowhere = np.zeros(n * pairs, np.int64), np.zeros((n * pairs, 2))
+    nobody = np.zeros(n * pairs, np.int64)
     t = np.tile(np.arange(float(n)), pairs)
-    ranges = Ranges(nobody, nobody, t, error, np.full(n * pairs, np.nan), nowhere, nowhere)
+    ranges = Ranges.of_points(nobody, nobody, t, error, np.full(n * pairs, np.nan))
     told = _Noise.of(ranges, which, pairs, error)
     assert np.sqrt(np.mean(np.square(told.sd))) == pytest.approx(0.05, rel=0.03)
     assert (told.far == (error > 0.4)).mean() > 0.99
@@ -303,10 +356,11 @@ def test_a_pairs_ranges_are_as_likely_as_a_chain_whose_errors_last_so_long():
         e[k] = rho * e[k - 1] + sd * np.sqrt(1.0 - rho**2) * rng.standard_normal()
     new = e[1:] - rho * e[:-1]
     chain = np.square(new / sd).sum() / (1.0 - rho**2) + (n - 1) * np.log(2.0 * np.pi * sd**2 * (1.0 - rho**2))
-    none = np.zeros((n, 2))
-    r = Ranges(none[:, 0].astype(int), none[:, 0].astype(int), np.arange(float(n)), e, np.full(n, np.nan), none, none)
+    nobody = np.zeros(n, int)
+    r = Ranges.of_points(nobody, nobody, np.arange(float(n)), e, np.full(n, np.nan))
     far = np.zeros(n, bool)
     which, long = np.zeros(n, int), np.array([(1.0 + rho) / (1.0 - rho)])
-    told = _unlikely(_Noise(e, far, np.array([sd]), long), r, which)
+    each = np.full(n, sd)
+    told = _unlikely(_Noise(e, far, np.array([sd]), long, each), r, which)
     assert told == pytest.approx(chain, abs=0.05 * n)
-    assert _unlikely(_Noise(e, far, np.array([sd]), np.ones(1)), r, which) > told + n
+    assert _unlikely(_Noise(e, far, np.array([sd]), np.ones(1), each), r, which) > told + n

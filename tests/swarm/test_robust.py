@@ -172,3 +172,17 @@ def test_an_anchor_that_is_said_to_stand_elsewhere_makes_no_reliable_answer():
         moved = locate(replace(net, anchors={**net.anchors, k: net.anchors[k] + 15.0}), ROBUST)
         assert not moved.reliable
         assert "prove nothing" in moved.warnings[0]
+
+
+@pytest.mark.parametrize("visibility", ["directed", "mutual"])
+@pytest.mark.parametrize("outliers", [0.0, 0.1])
+def test_two_robots_that_the_others_take_for_each_other_are_not_called_reliable(visibility, outliers):
+    net, _ = simulated(1, robots=36, sigma=1.0, visibility=visibility, outliers=outliers)
+    assert locate(net, ROBUST).reliable
+    a, b = 14, 28
+    target = np.where(net.target == a, b, np.where(net.target == b, a, net.target))
+    kept = net.observer != target
+    estimate = locate(replace(net.select(np.flatnonzero(kept)), target=target[kept]), ROBUST)
+    assert not estimate.reliable
+    (told,) = [warning for warning in estimate.warnings if "stand elsewhere" in warning]
+    assert {net.ids[a], net.ids[b]} & set(told.rpartition(": ")[2].split(", "))

@@ -26,7 +26,7 @@ from ..io.team_map import write_landmarks, write_tracks
 from ..landmarks.landmark_map import LandmarkMap
 from ..mapping.woven_map import Georeference
 from ..ranges.estimate import PlacedPart, RangeEstimate, estimate
-from ..ranges.network import RangeLog, RangeNetwork, network_of
+from ..ranges.network import RangeLog, RangeNetwork, StampShift, network_of, silences
 from ..report.html import told_list
 from ..report.result import ResultBase, Rows, written
 from ..report.score import headline_scores
@@ -46,6 +46,9 @@ OFF_SHARE = 0.02  # of all windows, from which it is told: one may be off by cha
 LEAST = 3  # ranges of a window
 WORSE = 2.0  # times what ranges say of their noise, from which it is told
 MOSTLY = 0.5  # share of ranges rejected from which nothing is believed
+LATE, LATE_ROUNDS = 0.25, 3  # [s] by which stamps are moved at once, at most, and how often
+TOLD_LATE, TOLD_GROWTH, TOLD_SLIP = 0.05, 0.1, 3.0  # [s], [m], times from which it is told, where it is sure
+SURE = 4.0  # sd
 CARRIED = 2  # times that ranges deny a robot's odometry, beyond which it is no odometry of that robot
 TOLD_SHARE = 0.02  # of all ranges rejected, from which it is told
 
@@ -267,12 +270,23 @@ def _result(
     watch: Watch,
     log: RangeLog | None = None,
 ) -> RangeResult:
-    found, georeference = estimate(net), None
+    found, georeference, late = estimate(net), None, dict[str, StampShift]()
+    for _ in range(LATE_ROUNDS):
+        if log is None or not any(abs(told.lag) + 0.5 * abs(told.drift) > LATE for told, _ in found.clocks.values()):
+            break  # stamps moved by more than robots' ways are straight for: where they were then is looked up anew
+        late = {name: late.get(name, StampShift()).plus(told) for name, (told, _) in found.clocks.items()}
+        net = network_of(log, late)
+        found = estimate(net)
+    clocks = {name: (late.get(name, StampShift()).plus(told), sd) for name, (told, sd) in found.clocks.items()}
+    found = replace(found, clocks=clocks)
     steps = [(int(net.motions.first[k]), int(net.motions.second[k])) for k in found.denied]
     denied = [
         Finding("odometry-denied", net.robots[net.owner[i]], (float(net.t[i]), float(net.t[j]))) for i, j in steps
     ]
-    often = Counter(cut.robot for cut in denied)
+    if log is not None:
+        gaps = [(robot, gap) for robot, track in log.odometry.items() for gap in silences(track.t)]
+        denied += [Finding("odometry-gap", robot, gap, gap[1] - gap[0]) for robot, gap in gaps]
+    often = Counter(cut.robot for cut in denied if cut.code == "odometry-denied")
     denied += [Finding("odometry-unlike", robot, value=n) for robot, n in often.items() if n > CARRIED]
     net = net.without(found.denied)
     watch.lap("solve")
@@ -325,7 +339,7 @@ def _findings(net: RangeNetwork, found: RangeEstimate) -> list[Finding]:
     scatter, stated = float(np.median([r.sd for r in found.radios] or [0.0])), float(np.median(net.ranges.sd))
     if scatter > WORSE * stated:  # where none is stated it is NaN
         out.append(Finding("ranges-worse", value={"value": scatter, "times": scatter / stated}))
-    out += _drifting(net, found)
+    out += [*_drifting(net, found), *_made_up_for(found)]
     if far > MOSTLY * n:
         out.append(Finding("ranges-contradict", value={"far": far, "n": n}))
     for part in found.parts:
@@ -344,6 +358,26 @@ def _findings(net: RangeNetwork, found: RangeEstimate) -> list[Finding]:
         )
     if others := [robot for part in found.parts[1:] for robot in _robots(net, part)]:
         out.append(Finding("robots-apart", value=told_list([robot_key(r) for r in others])))
+    return out
+
+
+def _made_up_for(found: RangeEstimate) -> list[Finding]:
+    """What was found to be off in stamps, biases and odometry, and is reckoned with."""
+    out = []
+    for robot, (told, sd) in found.clocks.items():
+        if abs(told.lag) > max(TOLD_LATE, SURE * sd.lag):
+            way = "after" if told.lag > 0 else "before"
+            out.append(Finding("range-lag", robot, value={"value": abs(told.lag), "way": way}))
+        if abs(told.drift) > max(TOLD_LATE, SURE * sd.drift):
+            out.append(Finding("range-clock", robot, value=told.drift))
+    if found.jitter > TOLD_LATE:
+        out.append(Finding("range-stamps", value=found.jitter))
+    growing = [r for r in found.radios if abs(r.growth) > max(TOLD_GROWTH, SURE * r.growth_sd)]
+    if growing:
+        most = max(growing, key=lambda r: abs(r.growth))
+        told_of: dict[str, float | str] = {"value": most.growth, "pair": f"{robot_key(most.a)} and {robot_key(most.b)}"}
+        out.append(Finding("range-growth", value=told_of))
+    out += [Finding("odometry-slips", s.robot, (s.first, s.last), s.times) for s in found.slips if s.times > TOLD_SLIP]
     return out
 
 

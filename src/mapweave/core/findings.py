@@ -801,6 +801,45 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "what lies between.",
             "Look at its odometry.",
         ),
+        "odometry-gap": FindingKind(
+            "note",
+            "no odometry for {value:.1f} s",
+            "The robot may have been anywhere meanwhile: what came before and after is laid by ranges, and ranges that "
+            "were measured meanwhile are left out.",
+            "Look for lost messages.",
+        ),
+        "odometry-slips": FindingKind(
+            "note",
+            "its odometry errs by {value:.0f} times what wheels do, by its ranges",
+            "Its wheels slip, or its odometry has another scale: it counts by as much less then.",
+            "Look at its odometry.",
+        ),
+        "range-lag": FindingKind(
+            "note",
+            "its ranges bear stamps {value:.2f} s {way} those of its odometry of the same moments",
+            "Radios and odometry are stamped by different clocks, or one of both late: ranges are moved in time by so "
+            "much.",
+            "Nothing; stamp both when they are measured.",
+        ),
+        "range-clock": FindingKind(
+            "note",
+            "stamps of its ranges move by {value:.2f} s against those of its odometry over the log",
+            "Radios and odometry are stamped by clocks that run apart: ranges are moved in time by so much.",
+            "Nothing; stamp both by one clock.",
+        ),
+        "range-stamps": FindingKind(
+            "note",
+            "stamps of ranges scatter by {value:.2f} s",
+            "Ranges err the more the faster robots drive: their stamps are rounded, or messages were held up. They "
+            "count by as much less.",
+            "Stamp ranges when they are measured.",
+        ),
+        "range-growth": FindingKind(
+            "note",
+            "biases of ranges grow: by {value:.2f} m over the log between {pair}",
+            "Radios that grow warm read longer. How each pair's bias grows is found with it.",
+            "Nothing.",
+        ),
         "range-dropped": FindingKind(
             "note",
             "{n:.0f} ranges were dropped: {value}",

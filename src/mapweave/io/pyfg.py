@@ -132,8 +132,7 @@ def _network(path: Path, rows: dict[str, list[_Row]], unread: Counter[str]) -> P
     z = np.array([row.values for row in steps]).reshape(-1, 10)
     motions = Motions(ends[:, 0], ends[:, 1], z[:, 1:4], _covariances(path, steps, z[:, 4:]))
     ends, z = _nodes(path, ranged, index, 2), np.array([row.values for row in ranged]).reshape(-1, 3)
-    none = np.zeros((len(z), 2))
-    ranges = Ranges(ends[:, 0], ends[:, 1], z[:, 0], z[:, 1], np.sqrt(z[:, 2]), none, none)
+    ranges = Ranges.of_points(ends[:, 0], ends[:, 1], z[:, 0], z[:, 1], np.sqrt(z[:, 2]))
     known = np.array([r.values[1:] if len(r.values) == 10 else _flat(r.values[1:]) for r in held]).reshape(-1, 9)
     node = _nodes(path, held, index, 1)[:, 0]
     priors = Priors(node, known[:, :3], _covariances(path, held, known[:, 3:]))

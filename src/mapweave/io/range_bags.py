@@ -78,7 +78,9 @@ def read_range_bag(path: Path, radios: Mapping[str, str] | None = None, fixes: s
         told = message.header.stamp
         stamps[topic].append((told.sec + told.nanosec * 1e-9, ns * 1e-9))
     clock, notes = _clock(stamps)
-    tracks = {wheels[topic]: _track(clock(topic), poses[topic]) for topic in wheels if len(poses[topic]) > 1}
+    bad = {topic: int((~np.isfinite(poses[topic])).any(axis=1).sum()) for topic in wheels if poses[topic]}
+    tracks = {t: k for t in wheels if len(poses[t]) > 1 and len((k := _track(clock(t), poses[t])).t) > 1}
+    tracks = {wheels[topic]: track for topic, track in tracks.items()}
     if not tracks or not rows:
         raise ReaderError(path, f"expected odometry and ranges, found {bag.listing() or 'no topics'}")
     robots, seen = sorted(tracks, key=in_order), sorted({r for row in rows for r in (row.a, row.b)}, key=in_order)
@@ -104,6 +106,11 @@ def read_range_bag(path: Path, radios: Mapping[str, str] | None = None, fixes: s
     )
     findings = [*([note] if note else []), *notes]
     findings += [positions_read(topic, robot) for topic, robot in receivers.items() if bag.kinds[topic] in POSES]
+    findings += [
+        Finding("rows-impossible", wheels[topic], value={"value": n, "what": "odometry"})
+        for topic, n in bad.items()
+        if n
+    ]
     if bag.lost:
         findings.append(Finding("log-short", value=f"{path.name}: {bag.lost}", action="they are used"))
     return RangeLog(

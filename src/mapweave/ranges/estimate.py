@@ -8,11 +8,14 @@ face each other), so that a range counts by as much less as they last longer tha
 A robot that was carried, whose wheels slipped or whose odometry began anew is cut where ranges say so, when that
 explains them better: what came before and after are two bodies.
 
+Stamps of ranges may be of another clock than those of odometry, and rounded; biases may grow; odometry may slip or be
+of another scale for a while: all that is found with the rest (`factors.RadioColumns`, `_Noise`, `loosened`).
+
 Position fixes are one more factor of the same problem, which then lies in their world.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -35,6 +38,8 @@ from ..solve import (
 )
 from .factors import (
     PRUNED,
+    RadioColumns,
+    closing,
     columns_of,
     common_factor,
     geometry,
@@ -45,7 +50,7 @@ from .factors import (
     range_factor,
 )
 from .fixes import FAR2, Laid, Sights, lay_among
-from .network import Bodies, Motions, Priors, RangeNetwork, Ranges, bodies_of
+from .network import Bodies, Motions, Priors, RangeNetwork, Ranges, StampShift, bodies_of
 from .start import LEAD, LEAST, ROUGH, BodyLayout, lay_out, placements
 
 FIRST_SD = 0.15  # [m] noise of a range before residuals tell it
@@ -54,6 +59,13 @@ SHRUNK = 0.02  # [m] sd of biases over all pairs, at least: a smaller one would 
 BIAS_SD = 0.3  # [m] of what the biases of all pairs have in common: antennas whose delay nobody trimmed
 SPREAD = 0.15  # [m] of the biases beside what they have in common, before they tell it
 FEW = 3  # pairs that tell it, at least
+GROWTH, GROWS_APART = 0.1, 0.02  # [m] sd by which biases grow over a log, all alike and beside, before ranges tell it
+LAG = 0.05  # [s] sd by which stamps of ranges are later than a robot's odometry, and of its growth, before they do
+SURE = 3.0  # sd from which ranges are told to scatter more the faster their ends part: their stamps do
+WINDOW = 10.0  # [s] over which odometry may err more than it is taken to
+WINDOW_DOF = 6.0  # that count beside a window's own, as if these erred as they are taken to
+PROBES = 30  # random vectors that tell how many of a window's motions ranges check [Hutchinson, 1990]
+SETTLED, MORE = 1.25, 8  # times its factor changes at which that goes on, so often at most
 ANY_HEADING = 2.0  # [rad] sd of a heading that nothing tells
 TO_SD = 1.4826  # times half the width of its densest half is the sd of a Gaussian
 ANYTHING = 3.0  # [m] by up to which one that went another way is too long
@@ -63,7 +75,7 @@ WIDE = Cauchy(2.0)  # while the noise is still a guess
 TIGHT = GemanMcClure(3.0)
 # Noise and biases are estimated and all is solved again, with these kernels; at the end without those that are far.
 ROUNDS: tuple[Kernel | None, ...] = (WIDE, TIGHT, TIGHT, None, None)
-AMONG_FIXES: tuple[Kernel | None, ...] = (WIDE, None)  # the same, where ranges alone have told the noise
+AGAIN: tuple[Kernel | None, ...] = (WIDE, None)  # the same, where ranges alone have told the noise
 LEFT_OUT = 1e6  # times its sd: a range that is left out
 STRAIGHT = 0.3  # of how far a path spreads, by which it differs from its mirror image: odometry bends straight ones
 MOST_CUTS = 6  # of tracks where ranges deny their odometry, a whole solve each
@@ -77,8 +89,8 @@ SOLVE = SolveConfig(max_iterations=30, damping=1e-4, step_tolerance=1e-5, cost_t
 
 @dataclass(frozen=True, slots=True)
 class Radio:
-    """What a pair of radios turned out to be. bias, sd: [m]; lasting: ranges for which an error lasts; far: how many of
-    `n` went another way.
+    """What a pair of radios turned out to be. bias, sd: [m]; growth: [m] of its bias over the log; lasting: ranges for
+    which an error lasts; far: how many of `n` went another way.
     """
 
     a: str
@@ -89,6 +101,8 @@ class Radio:
     sd: float
     lasting: float
     far: int
+    growth: float = 0.0
+    growth_sd: float = np.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,10 +126,21 @@ class PlacedPart:
 
 
 @dataclass(frozen=True, slots=True)
+class Slip:
+    """From one time [s] to another a robot's odometry errs by `times` what it is taken to."""
+
+    robot: str
+    first: float
+    last: float
+    times: float
+
+
+@dataclass(frozen=True, slots=True)
 class RangeEstimate:
     """parts: the largest first; residual: (k,) [m] of each range, bias off, NaN where an end is not placed; far: (k,)
     which went another way; loose: robots and beacons that ranges do not place, and why; cost: as of a layout, of all
-    parts; denied: motions of the network that ranges deny, which are not used.
+    parts; denied: motions of the network that ranges deny, which are not used; clocks: of robots, and their standard
+    deviations; jitter: [s] by which stamps of ranges scatter, at most.
     """
 
     parts: tuple[PlacedPart, ...]
@@ -125,6 +150,9 @@ class RangeEstimate:
     loose: dict[str, str]
     cost: float = 0.0
     denied: tuple[int, ...] = ()
+    clocks: Mapping[str, tuple[StampShift, StampShift]] = field(default_factory=dict)
+    slips: tuple[Slip, ...] = ()
+    jitter: float = 0.0
 
 
 class LaidParts(NamedTuple):
@@ -148,7 +176,32 @@ def estimate(net: RangeNetwork) -> RangeEstimate:
         if again.cost > found.cost - LEAD or len(again.parts) > len(found.parts) or again.loose.keys() - found.loose:
             break
         found = replace(again, denied=cut)
-    return found
+    return _reckoned(net.without(found.denied), found)
+
+
+def _reckoned(net: RangeNetwork, found: RangeEstimate) -> RangeEstimate:
+    """`found`, where odometry counts less while it errs more than it is taken to."""
+    bodies, parts, radios = bodies_of(net), list[PlacedPart](), list[Radio]()
+    residual, far = found.residual.copy(), found.far.copy()
+    jitter, clocks, slips = 0.0, dict[str, tuple[StampShift, StampShift]](), list[Slip]()
+    for part in found.parts:
+        s = _start_at(net, bodies, part.nodes, part.pose, found)
+        parts.append(s.part(part.mirrored))
+        radios += s.radios()
+        residual[s.rows], far[s.rows] = s.noise.residual, s.noise.far
+        clocks |= s.clocks()
+        slips += s.slips()
+        jitter = max(jitter, s.noise.jitter)
+    return replace(
+        found,
+        parts=tuple(parts),
+        radios=tuple(radios),
+        residual=residual,
+        far=far,
+        clocks=clocks,
+        slips=tuple(slips),
+        jitter=jitter,
+    )
 
 
 def _denied(net: RangeNetwork, found: RangeEstimate) -> int | None:
@@ -271,6 +324,9 @@ def laid_parts(
         },
         found.cost,
         found.denied,
+        {**found.clocks, **solved.clocks()},
+        found.slips,
+        found.jitter,
     )
     return LaidParts(every, part, solved.laid, solved.cost)
 
@@ -313,15 +369,27 @@ def _largest_first(net: RangeNetwork) -> Callable[[PlacedPart], tuple[int, int]]
 
 @dataclass(frozen=True, slots=True)
 class _Noise:
-    """What residuals tell: of each pair the noise [m] and for how many ranges an error lasts; which ranges are far."""
+    """What residuals tell: of each pair the noise [m] and for how many ranges an error lasts; which ranges are far;
+    each: (k,) [m] noise of each, with that of its stamp, `jitter` [s].
+    """
 
     residual: Float[np.ndarray, " k"]
     far: Bool[np.ndarray, " k"]
     sd: Float[np.ndarray, " p"]
     lasting: Float[np.ndarray, " p"]
+    each: Float[np.ndarray, " k"]
+    jitter: float = 0.0
 
     @classmethod
-    def of(cls, r: Ranges, which: Int[np.ndarray, " k"], pairs: int, residual: Float[np.ndarray, " k"]) -> "_Noise":
+    def of(
+        cls,
+        r: Ranges,
+        which: Int[np.ndarray, " k"],
+        pairs: int,
+        residual: Float[np.ndarray, " k"],
+        speed: Float[np.ndarray, " k"] | None = None,
+    ) -> "_Noise":
+        """What `residual` tells; speed: (k,) [m/s] by which distances grow."""
         far, sd, long = np.zeros(len(residual), bool), np.empty(pairs), np.empty(pairs)
         for k in range(pairs):
             mine = np.flatnonzero(which == k)
@@ -336,15 +404,43 @@ class _Noise:
             sd[k] = max(LEAST_SD, WITHIN_FAR * float(e[kept].std()))
             good = mine[~far[mine]]
             long[k] = lasting(residual[good[np.argsort(r.t[good], kind="stable")]])
-        return cls(residual, far, sd, long)
+        fast = np.zeros(len(residual)) if speed is None else np.square(speed)
+        jitter = _jitter(np.where(far, np.nan, np.square(residual)), fast, which, sd)
+        mean = np.bincount(which, np.where(far, 0.0, fast), pairs) / np.maximum(np.bincount(which, ~far, pairs), 1)
+        sd = np.sqrt(np.maximum(LEAST_SD**2, sd**2 - jitter**2 * mean))
+        return cls(residual, far, sd, long, np.sqrt(sd[which] ** 2 + jitter**2 * fast), jitter)
+
+
+def _jitter(
+    e2: Float[np.ndarray, " k"],
+    fast: Float[np.ndarray, " k"],
+    which: Int[np.ndarray, " k"],
+    sd: Float[np.ndarray, " p"],
+) -> float:
+    """[s] by which stamps scatter: squares of errors that grow with those of the speeds at which ends part, if so.
+
+    e2: NaN of those that do not count. Each pair has a noise of its own beside, about `sd`, and counts by it.
+    """
+    used = np.isfinite(e2)
+    n = np.maximum(np.bincount(which[used], minlength=len(sd)), 1)
+    mean = [np.bincount(which[used], v[used], len(sd)) / n for v in (e2, fast)]
+    y, x = ((v - m[which])[used] / np.square(sd[which[used]]) for v, m in zip((e2, fast), mean, strict=True))
+    power = float(x @ x)
+    if power <= 0.0:
+        return 0.0
+    slope = float(x @ y) / power
+    slope_sd = float(np.sqrt(np.square(x * (y - slope * x)).sum())) / power
+    return float(np.sqrt(slope)) if slope > SURE * slope_sd else 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class _Solved:
     """One layout, worked out. nodes, rows: of the network; names: (p, 2) the pairs, which: (k,) each range's;
 
-    first: the node that holds the frame; unturned: (n,) nodes whose heading nothing tells; cost: less twice the
-    logarithm of the likelihood of all it rests on, but for what is the same of every layout.
+    first: the node that holds the frame; unturned: (n,) nodes whose heading nothing tells; unknown: biases, their
+    growth, clocks' lags and drifts, and their standard deviations; loose: (m,) times by which motions err more than
+    they are taken to; cost: less twice the logarithm of the likelihood of all it rests on, but for what is the same of
+    every layout.
     """
 
     net: RangeNetwork
@@ -355,9 +451,9 @@ class _Solved:
     first: int | None
     unturned: Bool[np.ndarray, " n"]
     pose: Float[np.ndarray, "n 3"]
-    bias: Float[np.ndarray, " p"]
-    bias_sd: Float[np.ndarray, " p"]
+    unknown: Float[np.ndarray, "2 u"]
     noise: _Noise
+    loose: Float[np.ndarray, " m"]
     solution: Solution
     laid: Laid | None
     cost: float
@@ -411,18 +507,42 @@ class _Solved:
         mixed = V[at] @ row.T
         return out, joint - mixed - mixed.T + row @ C @ row.T, C
 
+    def clocks(self) -> dict[str, tuple[StampShift, StampShift]]:
+        lag, drift = (self.unknown[:, -k * len(self.net.everybody) :] for k in (2, 1))
+        return {
+            self.net.robots[k]: (
+                StampShift(*map(float, (lag[0, k], drift[0, k]))),
+                StampShift(*map(float, (lag[1, k], drift[1, k]))),
+            )
+            for k in np.unique(self.net.owner[self.nodes[~self.net.is_beacon[self.nodes]]]).tolist()
+        }
+
+    def slips(self) -> list[Slip]:
+        """Windows in which odometry errs by more than it is taken to, those that follow each other as one."""
+        m, out = self.net.motions, list[Slip]()
+        for k in np.flatnonzero((self.loose > 1.0) & np.isin(m.first, self.nodes)).tolist():
+            i, j = int(m.first[k]), int(m.second[k])
+            robot, t, times = self.net.robots[self.net.owner[i]], self.net.t[[i, j]], float(self.loose[k])
+            if out and out[-1].robot == robot and t.min() <= out[-1].last + 1e-9:
+                out[-1] = replace(out[-1], last=float(t.max()), times=max(out[-1].times, times))
+            else:
+                out.append(Slip(robot, float(t.min()), float(t.max()), times))
+        return out
+
     def radios(self) -> list[Radio]:
-        who = self.net.everybody
+        who, pairs = self.net.everybody, len(self.names)
         return [
             Radio(
                 a=who[a],
                 b=who[b],
                 n=int((self.which == k).sum()),
-                bias=float(self.bias[k]),
-                bias_sd=float(self.bias_sd[k]),
+                bias=float(self.unknown[0, k]),
+                bias_sd=float(self.unknown[1, k]),
                 sd=float(self.noise.sd[k]),
                 lasting=float(self.noise.lasting[k]),
                 far=int(self.noise.far[self.which == k].sum()),
+                growth=float(self.unknown[0, pairs + k]),
+                growth_sd=float(self.unknown[1, pairs + k]),
             )
             for k, (a, b) in enumerate(self.names.tolist())
         ]
@@ -437,10 +557,14 @@ def _of_layout(net: RangeNetwork, bodies: Bodies, layout: BodyLayout) -> _Solved
 
 
 def _start_at(
-    net: RangeNetwork, bodies: Bodies, nodes: Int[np.ndarray, " n"], pose: Float[np.ndarray, "n 3"]
+    net: RangeNetwork,
+    bodies: Bodies,
+    nodes: Int[np.ndarray, " n"],
+    pose: Float[np.ndarray, "n 3"],
+    known: RangeEstimate | None = None,
 ) -> _Solved:
     """`nodes` worked out from `pose`."""
-    solved = _solved(net, bodies, nodes, pose)
+    solved = _solved(net, bodies, nodes, pose, known)
     assert solved is not None  # noqa: S101  (only fixes may fail to hold it)
     return solved
 
@@ -474,42 +598,39 @@ def _solved(
 ) -> _Solved | None:
     """`nodes` worked out from where they `start`, noise and biases of the radios with it.
 
-    known: what was found without `sights`; with them it lies in their world, or is None where they do not hold it.
+    known: what was found before; odometry may count less then, and noise is told anew, lest errors of odometry are
+    taken for it. With `sights` it lies in their world, or is None where they do not hold it.
     """
-    place = np.full(len(net.owner), -1)
-    place[nodes] = np.arange(len(nodes))
-    rows = np.flatnonzero((place[net.ranges.a] >= 0) & (place[net.ranges.b] >= 0))
-    r = net.ranges.select(rows)
-    r = replace(r, a=place[r.a], b=place[r.b])
-    terms, held = _ties(net, place)
-    names, of_all = net.pairs()
-    there, which = np.unique(of_all[rows], return_inverse=True)
-    n, pairs, beacon = len(nodes), len(there), net.is_beacon[nodes]
-    biases, of = 3 * n + np.arange(pairs), bodies.of[nodes]
-    common = 3 * n + pairs  # what the biases have in common
-    x = np.append(start.ravel(), np.zeros(pairs + 1))
-    fixed = np.zeros(len(x), bool)
-    fixed[3 * np.flatnonzero(beacon) + 2] = True
+    place, rows, r, names, which = _among(net, nodes)
+    m = net.motions
+    here = np.flatnonzero(place[m.first] >= 0)
+    moved, window = Motions(place[m.first[here]], place[m.second[here]], m.z[here], m.cov[here]), _windows(net, here)
+    owner, beacon, of = net.owner[nodes], net.is_beacon[nodes], bodies.of[nodes]
+    n, entry = len(nodes), _Entries(len(nodes), len(names), len(net.everybody))
+    radio = entry.of_ranges(which, owner[r.a], owner[r.b])
+    x, held = np.append(start.ravel(), np.zeros(entry.more)), _priors(net, place)
     first = None if held else int(np.argmin(beacon))
+    fixed = _fixed(entry, r, owner, beacon)
     if first is not None and sights is None:
         fixed[3 * first : 3 * first + 3] = True
     heads = np.unique(of, return_index=True)[1]
     begins = np.array([k for k in heads if not (beacon[k] or (k == first and sights is None))], np.int64)
+    terms = [*held, *entry.beforehand()]
     if len(begins):  # the heading of one that stands is anything, and the problem stays regular
         terms.append(number_factor(3 * begins + 2, x[3 * begins + 2], ANY_HEADING, "headings"))
-    angles = wrapping(3 * np.arange(n) + 2)
-    terms.append(number_factor(np.array([common]), np.zeros(1), BIAS_SD, "common bias"))
     spread, pattern = (SHRUNK if np.isfinite(r.sd).all() else SPREAD), None
-    noise, x[biases] = _known(net, known, names[there], rows)
-    ordered, laid, P = _order(fixed, beacon, pairs), None, None
-    for kernel in ROUNDS if sights is None else AMONG_FIXES:
-        sd = np.fmax(r.sd, noise.sd[which]) * np.sqrt(noise.lasting[which])
+    noise, x[entry.biases] = _known(net, None if sights is None else known, names, rows)
+    ordered, laid, P, loose = _order(fixed, beacon), None, None, _known_slips(net, known)[here]
+    rounds = list(ROUNDS if sights is None else AGAIN)
+    for k, kernel in enumerate(rounds):
+        sd, was = np.fmax(r.sd, noise.each) * np.sqrt(noise.lasting[which]), loose
         if kernel is None:
             sd[noise.far] *= LEFT_OUT
-        ranges = range_factor(r, biases[which], sd, kernel)
-        every = [*terms, ranges, common_factor(biases, common, spread)]
+        ranges = range_factor(r, radio, sd, kernel)
+        steps = [motion_factor(replace(moved, cov=moved.cov * loose[:, None, None] ** 2))] if len(here) else []
+        every = [*steps, *terms, ranges, common_factor(entry.biases, entry.common, spread)]
         if sights is None:
-            problem = Problem(x, every, fixed, angles)
+            problem = Problem(x, every, fixed, wrapping(3 * np.arange(n) + 2))
             pattern = pattern or ordered(Pattern.of(problem))
             solution = minimise(problem, SOLVE, pattern)
         else:
@@ -517,18 +638,137 @@ def _solved(
             if laid is None:
                 return None
             solution = laid.solution
-        x = solution.x
-        pose, bias = x[: 3 * n].reshape(-1, 3), x[biases]
-        P = solution.covariance(np.append(biases, common)) if solution.information is not None else None
-        if P is not None and pairs >= FEW:
-            spread = _spread_of(bias - x[common], P)
-        noise = _Noise.of(r, which, pairs, r.z - geometry(r, pose)[0] - bias[which])
-    bias_sd = np.full(pairs, np.nan) if P is None else np.sqrt(np.diag(P)[:-1])
-    unturned = ~bodies.turns[of] & (len(heads) > 1 or sights is not None)
+        x, pose = solution.x, solution.x[: 3 * n].reshape(-1, 3)
+        P = None if solution.information is None else solution.covariance(np.arange(3 * n, len(x)))
+        if P is not None and entry.pairs >= FEW:
+            spread = _spread_of(x[entry.biases] - x[entry.common], P[: entry.pairs + 1, : entry.pairs + 1])
+        then, off = radio.known(x, r)
+        noise = _Noise.of(r, which, entry.pairs, r.z - geometry(then, pose)[0] - off, np.add(*closing(then, pose)))
+        if steps and P is not None and known is not None and sights is None:
+            loose = loosened(steps[0], solution, was, window)
+            if k + 1 == len(rounds) < len(ROUNDS) + MORE and np.abs(np.log(loose / was)).max() > np.log(SETTLED):
+                rounds.append(None)
+    unknown = np.stack([x[3 * n :], np.full(entry.more, np.nan) if P is None else np.sqrt(np.diag(P))])
+    unknown = np.delete(unknown, entry.pairs, axis=1)
+    slipping = np.ones(len(m.first))
+    slipping[here] = was
     return _Solved(
-        net, nodes, rows, names[there], which, first, unturned, pose, bias, bias_sd, noise, solution, laid,
-        cost=solution.cost - float(np.square(noise.residual / sd).sum()) + _unlikely(noise, r, which),
+        net, nodes, rows, names, which, first, ~bodies.turns[of] & (len(heads) > 1 or sights is not None),
+        pose, unknown, noise, slipping, solution, laid,
+        cost=solution.cost - float(np.square(noise.residual / sd).sum()) + _unlikely(noise, r, which)
+        + 6.0 * float(np.log(was).sum()),
     )  # fmt: skip
+
+
+def _among(
+    net: RangeNetwork, nodes: Int[np.ndarray, " n"]
+) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " k"], Ranges, Int[np.ndarray, "p 2"], Int[np.ndarray, " k"]]:
+    """Of `nodes`: where each node of the network stands, or -1; rows of the ranges between them, and these; pairs, and
+    which each range is of.
+    """
+    place = np.full(len(net.owner), -1)
+    place[nodes] = np.arange(len(nodes))
+    rows = np.flatnonzero((place[net.ranges.a] >= 0) & (place[net.ranges.b] >= 0))
+    r, (names, of_all) = net.ranges.select(rows), net.pairs()
+    there, which = np.unique(of_all[rows], return_inverse=True)
+    return place, rows, replace(r, a=place[r.a], b=place[r.b]), names[there], which
+
+
+@dataclass(frozen=True, slots=True)
+class _Entries:
+    """Where in x what is found beside n poses stands: biases of pairs and what they have in common, the same of how
+    they grow, everybody's clock.
+    """
+
+    n: int
+    pairs: int
+    everybody: int
+
+    @property
+    def biases(self) -> Int[np.ndarray, " p"]:
+        return 3 * self.n + np.arange(self.pairs)
+
+    @property
+    def common(self) -> int:
+        return 3 * self.n + self.pairs
+
+    @property
+    def growths(self) -> Int[np.ndarray, " p"]:
+        return self.common + 1 + np.arange(self.pairs)
+
+    @property
+    def lags(self) -> Int[np.ndarray, " e"]:
+        return np.asarray(self.common + 2 + self.pairs + np.arange(self.everybody))
+
+    @property
+    def drifts(self) -> Int[np.ndarray, " e"]:
+        return np.asarray(self.lags + self.everybody)
+
+    @property
+    def more(self) -> int:
+        return 2 + 2 * self.pairs + 2 * self.everybody
+
+    def of_ranges(
+        self, which: Int[np.ndarray, " k"], a: Int[np.ndarray, " k"], b: Int[np.ndarray, " k"]
+    ) -> RadioColumns:
+        """which: the pair of each range; a, b: whose its ends are."""
+        lags, drifts = self.lags, self.drifts
+        return RadioColumns(self.biases[which], self.growths[which], lags[a], drifts[a], lags[b], drifts[b])
+
+    def beforehand(self) -> list[Factor]:
+        """What is known of all that before any range."""
+        told = ((self.common, BIAS_SD, "common bias"), (self.common + 1 + self.pairs, GROWTH, "common growth"))
+        clocks = number_factor(np.append(self.lags, self.drifts), np.zeros(2 * self.everybody), LAG, "clocks")
+        alike = common_factor(self.growths, self.common + 1 + self.pairs, GROWS_APART)
+        return [clocks, alike, *(number_factor(np.array([at]), np.zeros(1), sd, name) for at, sd, name in told)]
+
+
+def _fixed(
+    entry: _Entries, r: Ranges, owner: Int[np.ndarray, " n"], beacon: Bool[np.ndarray, " n"]
+) -> Bool[np.ndarray, " m"]:
+    """Entries that are not found: headings of beacons, and clocks of all that never moved while they ranged."""
+    fixed = np.zeros(3 * entry.n + entry.more, bool)
+    fixed[3 * np.flatnonzero(beacon) + 2] = True
+    moving = [owner[end[rate.any(axis=1)]] for end, rate in ((r.a, r.rate_a), (r.b, r.rate_b))]
+    still = np.setdiff1d(np.arange(entry.everybody), np.concatenate(moving))
+    fixed[entry.lags[still]] = fixed[entry.drifts[still]] = True
+    return fixed
+
+
+def _priors(net: RangeNetwork, place: Int[np.ndarray, " m"]) -> list[Factor]:
+    """What is known beforehand of nodes that have a `place`."""
+    p = net.priors
+    held = place[p.node] >= 0
+    return [prior_factor(Priors(place[p.node[held]], p.z[held], p.cov[held]))] if held.any() else []
+
+
+def _windows(net: RangeNetwork, motions: Int[np.ndarray, " m"]) -> Int[np.ndarray, " m"]:
+    """Of each of `motions`, in which window of its robot's time it is."""
+    first = net.motions.first[motions]
+    t = np.nan_to_num(net.t[first])
+    window = np.floor((t - t.min(initial=np.inf)) / WINDOW) if len(t) else t
+    return np.asarray(np.unique(np.column_stack([net.owner[first], window]), axis=0, return_inverse=True)[1].ravel())
+
+
+def loosened(
+    steps: Factor, found: Solution, loose: Float[np.ndarray, " m"], window: Int[np.ndarray, " m"]
+) -> Float[np.ndarray, " m"]:
+    """By how many times motions err as they were taken to, 1 or more, one number a window.
+
+    A variance component [Helmert, 1924]: squares of whitened residuals over how many of them the rest of the problem
+    checks. steps: the motions as they were taken to err, `loose` times as they are by themselves.
+    """
+    V = np.random.default_rng(0).choice([-1.0, 1.0], size=(len(loose), steps.rows, PROBES))
+    J, at = np.asarray(steps.sqrt_info) @ steps.jacobian(found.x), steps.columns
+    u = np.zeros((len(found.x), PROBES))
+    np.add.at(u, at, np.einsum("mrc,mrp->mcp", J, V))
+    y = np.zeros_like(u)
+    assert found.information is not None  # noqa: S101  (asked of what is solved alone)
+    y[found.free] = found.information.solve(u[found.free])
+    checked = (V * (V - np.einsum("mrc,mcp->mrp", J, y[at]))).mean(axis=2).sum(axis=1)
+    squares, dof = (np.bincount(window, v) for v in (steps.squares(found.x), checked))
+    times = np.sqrt((squares + WINDOW_DOF) / (np.maximum(dof, 0.0) + WINDOW_DOF))
+    return np.asarray(np.maximum(loose * times[window], 1.0))
 
 
 def _unlikely(noise: _Noise, r: Ranges, which: Int[np.ndarray, " k"]) -> float:
@@ -536,7 +776,7 @@ def _unlikely(noise: _Noise, r: Ranges, which: Int[np.ndarray, " k"]) -> float:
 
     A layout that is wrong is made up for by noise that is greater and lasts longer, which squares over the noise hide.
     """
-    sd = np.fmax(r.sd, noise.sd[which])
+    sd = np.fmax(r.sd, noise.each)
     long = noise.lasting[which]
     new = sd * 2.0 * np.sqrt(long) / (long + 1.0)  # of an error, beside what is left of the last, as it lasts so long
     each = np.square(noise.residual / sd) + 2.0 * np.log(new) + np.log(2.0 * np.pi)
@@ -549,37 +789,38 @@ def _spread_of(off: Float[np.ndarray, " p"], P: Float[np.ndarray, "q q"]) -> flo
     return max(SHRUNK, float(np.sqrt(np.mean(np.square(off) + apart))))
 
 
-def _ties(net: RangeNetwork, place: Int[np.ndarray, " m"]) -> tuple[list[Factor], bool]:
-    """Motions and priors of the nodes that have a `place`, and whether there are priors."""
-    m, p = net.motions, net.priors
-    here, held = place[m.first] >= 0, place[p.node] >= 0
-    terms = []
-    if here.any():
-        terms.append(motion_factor(Motions(place[m.first[here]], place[m.second[here]], m.z[here], m.cov[here])))
-    if held.any():
-        terms.append(prior_factor(Priors(place[p.node[held]], p.z[held], p.cov[held])))
-    return terms, bool(held.any())
-
-
 def _known(
     net: RangeNetwork, found: RangeEstimate | None, names: Int[np.ndarray, "p 2"], rows: Int[np.ndarray, " k"]
 ) -> tuple[_Noise, Float[np.ndarray, " p"]]:
     """The noise of the ranges `rows`, of the pairs `names`, as they were found, if so, and the pairs' biases [m]."""
     pairs, k = len(names), len(rows)
     if found is None:
-        return _Noise(np.zeros(k), np.zeros(k, bool), np.full(pairs, FIRST_SD), np.ones(pairs)), np.zeros(pairs)
+        first = np.full(k, FIRST_SD)
+        return _Noise(np.zeros(k), np.zeros(k, bool), np.full(pairs, FIRST_SD), np.ones(pairs), first), np.zeros(pairs)
     radios = {(radio.a, radio.b): radio for radio in found.radios}
     told = [radios.get((net.everybody[a], net.everybody[b])) for a, b in names.tolist()]
     each = [(0.0, FIRST_SD, 1.0) if radio is None else (radio.bias, radio.sd, radio.lasting) for radio in told]
     bias, sd, long = np.array(each).reshape(-1, 3).T
-    return _Noise(found.residual[rows], found.far[rows], sd, long), bias
+    which = np.unique(net.pairs()[1][rows], return_inverse=True)[1]
+    return _Noise(found.residual[rows], found.far[rows], sd, long, sd[which]), bias
 
 
-def _order(fixed: Bool[np.ndarray, " m"], beacon: Bool[np.ndarray, " n"], pairs: int) -> Callable[[Pattern], Pattern]:
-    """Trajectories eliminated first, beacons and biases last: they touch most of all."""
+def _known_slips(net: RangeNetwork, found: RangeEstimate | None) -> Float[np.ndarray, " m"]:
+    """By how many times motions err as they are taken to, as was found."""
+    out, m = np.ones(len(net.motions.first)), net.motions
+    for slip in () if found is None else found.slips:
+        t = net.t[m.first]
+        mine = (net.owner[m.first] == net.robots.index(slip.robot)) & (t >= slip.first) & (t < slip.last)
+        out[mine] = slip.times
+    return out
+
+
+def _order(fixed: Bool[np.ndarray, " m"], beacon: Bool[np.ndarray, " n"]) -> Callable[[Pattern], Pattern]:
+    """Trajectories eliminated first, beacons, biases and clocks last: they touch most of all."""
     n = len(beacon)
-    group = np.concatenate([np.repeat(np.arange(n), 3), n + np.arange(pairs + 1)])[~fixed]
-    last = np.concatenate([np.repeat(beacon, 3), np.ones(pairs + 1, bool)])[~fixed]
+    rest = len(fixed) - 3 * n
+    group = np.concatenate([np.repeat(np.arange(n), 3), n + np.arange(rest)])[~fixed]
+    last = np.concatenate([np.repeat(beacon, 3), np.ones(rest, bool)])[~fixed]
     return lambda pattern: pattern.least_fill(group, last)
 
 

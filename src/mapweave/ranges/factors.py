@@ -1,4 +1,6 @@
-"""Ranges, motions and priors as factors over nodes [x, y, theta] and a bias [m] a pair of radios; how errors last."""
+"""Ranges, motions and priors as factors over nodes, a bias a pair of radios and a clock a robot; how errors last."""
+
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -31,19 +33,46 @@ def _across(unit: np.ndarray, arm: np.ndarray) -> np.ndarray:
     return np.asarray(unit[:, 1] * arm[:, 0] - unit[:, 0] * arm[:, 1])
 
 
-def range_factor(r: Ranges, bias: Int[np.ndarray, " k"], sd: Float[np.ndarray, " k"], kernel: Kernel | None) -> Factor:
-    """`|p_a - p_b| + bias - z` over both nodes and the pair's bias, which stands at `bias` of x."""
+class RadioColumns(NamedTuple):
+    """Where in x stand, of each range, the bias of its pair and how it grows over the log, and of both its robots by
+    how much stamps of ranges are later than those of odometry, and how that grows.
+    """
+
+    bias: Int[np.ndarray, " k"]
+    growth: Int[np.ndarray, " k"]
+    lag_a: Int[np.ndarray, " k"]
+    drift_a: Int[np.ndarray, " k"]
+    lag_b: Int[np.ndarray, " k"]
+    drift_b: Int[np.ndarray, " k"]
+
+    def known(self, x: Float[np.ndarray, " n"], r: Ranges) -> tuple[Ranges, Float[np.ndarray, " k"]]:
+        """Ranges where their ends were when they were measured, and their biases [m]."""
+        lag_a, lag_b = x[self.lag_a] + x[self.drift_a] * r.s, x[self.lag_b] + x[self.drift_b] * r.s
+        return r.late(lag_a, lag_b), x[self.bias] + x[self.growth] * r.s
+
+
+def closing(r: Ranges, pose: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """[m/s] by which each distance grows as either end moves on."""
+    unit = geometry(r, pose)[1]
+    v_a, v_b = ((se2.rotation(pose[k, 2]) @ v[..., None])[..., 0] for k, v in ((r.a, r.rate_a), (r.b, r.rate_b)))
+    return np.asarray((unit * v_a).sum(axis=1)), np.asarray(-(unit * v_b).sum(axis=1))
+
+
+def range_factor(r: Ranges, radio: RadioColumns, sd: Float[np.ndarray, " k"], kernel: Kernel | None) -> Factor:
+    """`|p_a - p_b| + bias - z` over both nodes, the pair's bias and both robots' clocks."""
     nodes = 3 * (1 + int(max(r.a.max(initial=0), r.b.max(initial=0))))
-    at = np.concatenate([columns_of(r.a), columns_of(r.b), bias[:, None]], axis=1)
+    at = np.concatenate([columns_of(r.a), columns_of(r.b), np.column_stack(radio)], axis=1)
 
     def residual(x: np.ndarray) -> np.ndarray:
-        distance = geometry(r, x[:nodes].reshape(-1, 3))[0]
-        return np.asarray((distance + x[at[:, 6]] - r.z)[:, None])
+        then, bias = radio.known(x, r)
+        return np.asarray((geometry(then, x[:nodes].reshape(-1, 3))[0] + bias - r.z)[:, None])
 
     def jacobian(x: np.ndarray) -> np.ndarray:
-        _, unit, turn_a, turn_b = geometry(r, x[:nodes].reshape(-1, 3))
-        rows = (unit, turn_a[:, None], -unit, turn_b[:, None], np.ones((len(unit), 1)))
-        return np.concatenate(rows, axis=1)[:, None, :]
+        then, pose = radio.known(x, r)[0], x[:nodes].reshape(-1, 3)
+        _, unit, turn_a, turn_b = geometry(then, pose)
+        v_a, v_b = closing(then, pose)
+        rows = (unit, turn_a, -unit, turn_b, np.ones(len(unit)), r.s, -v_a, -v_a * r.s, -v_b, -v_b * r.s)
+        return np.column_stack(rows)[:, None, :]
 
     return Factor(at, residual, jacobian, 1, 1.0 / sd[:, None], kernel, "ranges")
 

@@ -6,6 +6,7 @@ poses at instants, with ranges between them reached along the odometry.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -37,7 +38,7 @@ class Ranges:
 
     a, b: (k,) nodes; t: (k,) [s]; z: (k,) [m]; sd: (k,) [m], as the log has it, NaN where it does not say; lever_a,
     lever_b: (k, 2) [m] where the antenna was in the node's frame at t: how it is mounted, and how far the robot had
-    come from the node's pose.
+    come from the node's pose; rate_a, rate_b: (k, 2) [m/s] how these moved then; s: (k,) when it was, from -1/2 to 1/2.
     """
 
     a: Int[np.ndarray, " k"]
@@ -47,12 +48,46 @@ class Ranges:
     sd: Float[np.ndarray, " k"]
     lever_a: Float[np.ndarray, "k 2"]
     lever_b: Float[np.ndarray, "k 2"]
+    rate_a: Float[np.ndarray, "k 2"]
+    rate_b: Float[np.ndarray, "k 2"]
+    s: Float[np.ndarray, " k"]
 
     def __len__(self) -> int:
         return len(self.z)
 
     def select(self, rows: np.ndarray) -> "Ranges":
         return Ranges(*(getattr(self, name)[rows] for name in self.__slots__))
+
+    @classmethod
+    def of_points(
+        cls, a: Int[np.ndarray, " k"], b: Int[np.ndarray, " k"], t: np.ndarray, z: np.ndarray, sd: np.ndarray
+    ) -> "Ranges":
+        """Ranges between the nodes themselves, as those of graphs are."""
+        none = np.zeros((len(z), 2))
+        return cls(a, b, t, z, sd, none, none, none, none, through(t))
+
+    def late(self, a: Float[np.ndarray, " k"], b: Float[np.ndarray, " k"]) -> "Ranges":
+        """The same, where their stamps are so much [s] later than those of odometry of either end."""
+        shifted = (self.lever_a - a[:, None] * self.rate_a, self.lever_b - b[:, None] * self.rate_b)
+        return replace(self, lever_a=shifted[0], lever_b=shifted[1])
+
+
+def through(t: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+    """Stamps as they go from -1/2 to 1/2 over a log."""
+    first, last = (float(t.min()), float(t.max())) if len(t) else (0.0, 0.0)
+    return np.asarray((t - 0.5 * (first + last)) / max(last - first, 1e-9))
+
+
+class StampShift(NamedTuple):
+    """By how much [s] stamps of ranges are later than those of a robot's odometry amid a log, and more at its end than
+    at its beginning.
+    """
+
+    lag: float = 0.0
+    drift: float = 0.0
+
+    def plus(self, more: "StampShift") -> "StampShift":
+        return StampShift(self.lag + more.lag, self.drift + more.drift)
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,6 +195,7 @@ def bodies_of(net: RangeNetwork) -> Bodies:
 
 STEP = 0.25  # [s] between two poses that are estimated, at least; between, odometry carries a range's ends
 BEYOND = 0.3  # [s] before the first odometry or after the last in which a robot is taken to be where that is
+SILENT = 2.0  # [s] without odometry, and that many times its usual interval, from which it does not tell the way
 # What odometry errs by: along and across over the way [m/sqrt(m)], the heading over the way [rad/sqrt(m)] and over the
 # turn [rad/sqrt(rad)], and what a standing robot may have been pushed about [m/sqrt(s)], [rad/sqrt(s)].
 ALONG, ACROSS, DRIFT, TURN, REST_XY, REST_THETA = 0.03, 0.015, 0.03, 0.04, 1e-3, 1e-3
@@ -189,8 +225,11 @@ class RangeLog:
     findings: tuple[Finding, ...] = ()
 
 
-def network_of(log: RangeLog) -> RangeNetwork:
-    """The network of `log`: ranges that cannot be are left out and counted, beacons nobody ranged to are not there."""
+def network_of(log: RangeLog, clocks: Mapping[str, StampShift] | None = None) -> RangeNetwork:
+    """The network of `log`: ranges that cannot be are left out and counted, beacons nobody ranged to are not there.
+
+    clocks: of robots whose odometry is known to be on another clock than ranges.
+    """
     robots = tuple(sorted(log.odometry, key=in_order))
     kept, dropped = _kept(log, robots)
     used = {log.names[k] for k in np.unique(np.concatenate([log.a[kept], log.b[kept]])).tolist()} - set(robots)
@@ -209,9 +248,9 @@ def network_of(log: RangeLog) -> RangeNetwork:
     t = np.concatenate(
         [*(track.t[i] for track, i in zip(tracks, instants, strict=True)), np.full(len(beacons), np.nan)]
     )
-    ends = []
+    ends, s = [], through(log.t[kept])
     for which in (log.a[kept], log.b[kept]):
-        node, lever = np.zeros(len(which), np.int64), np.zeros((len(which), 2))
+        node, lever, rate = np.zeros(len(which), np.int64), np.zeros((len(which), 2)), np.zeros((len(which), 2))
         for k in np.unique(which).tolist():
             mine, name = which == k, log.names[k]
             if name in beacons:
@@ -219,13 +258,17 @@ def network_of(log: RangeLog) -> RangeNetwork:
                 continue
             r = robots.index(name)
             track, at = tracks[r], instants[r]
-            nearest = np.clip(np.searchsorted(track.t[at], log.t[kept][mine], side="right") - 1, 0, len(at) - 1)
-            here = se2.interpolate(np.clip(log.t[kept][mine], track.t[0], track.t[-1]), track.t, track.pose)
-            node[mine] = starts[r] + nearest
-            lever[mine] = se2.act(se2.between(track.pose[at][nearest], here), log.antennas.get(name, np.zeros(2)))
-        ends.append((node, lever))
-    (a, lever_a), (b, lever_b) = ends
-    ranges = Ranges(a, b, log.t[kept], log.z[kept], np.full(len(kept), np.nan), lever_a, lever_b)
+            lag, drift = (clocks or {}).get(name, StampShift())
+            stamp = log.t[kept][mine] - lag - drift * s[mine]
+            nearest = np.clip(np.searchsorted(track.t[at], stamp, side="right") - 1, 0, len(at) - 1)
+            around = (np.clip(stamp + dt, track.t[0], track.t[-1]) for dt in (0.0, -0.5 * STEP, 0.5 * STEP))
+            from_node = [se2.between(track.pose[at][nearest], se2.interpolate(k, track.t, track.pose)) for k in around]
+            there, before, after = (se2.act(T, log.antennas.get(name, np.zeros(2))) for T in from_node)
+            node[mine], lever[mine], rate[mine] = starts[r] + nearest, there, (after - before) / STEP
+        ends.append((node, lever, rate))
+    (a, lever_a, rate_a), (b, lever_b, rate_b) = ends
+    untold = np.full(len(kept), np.nan)
+    ranges = Ranges(a, b, log.t[kept], log.z[kept], untold, lever_a, lever_b, rate_a, rate_b, s)
     known = [(n + k, *log.known[name]) for k, name in enumerate(beacons) if name in log.known]
     priors = Priors(
         np.array([p[0] for p in known], np.int64),
@@ -239,13 +282,14 @@ def _kept(log: RangeLog, robots: tuple[str, ...]) -> tuple[Int[np.ndarray, " m"]
     """Which ranges can be used, in order of time, and how many could not, by reason."""
     dropped = dict(log.dropped)
     keep = np.ones(len(log.z), bool)
-    span = np.array(
-        [[log.odometry[n].t[0], log.odometry[n].t[-1]] if n in robots else [-np.inf, np.inf] for n in log.names]
-    )
-    span = span.reshape(-1, 2) + np.array([-BEYOND, BEYOND])
     outside = np.zeros(len(log.z), bool)
     for end in (log.a, log.b):
-        outside |= (log.t < span[end, 0]) | (log.t > span[end, 1])
+        for k in np.unique(end).tolist():
+            if log.names[k] in robots:
+                t = log.odometry[log.names[k]].t
+                gaps = [(-np.inf, t[0]), (t[-1], np.inf), *silences(t)]
+                during = [(log.t > first + BEYOND) & (log.t < last - BEYOND) for first, last in gaps]
+                outside |= (end == k) & np.any(during, axis=0)
     for reason, bad in (
         ("range to itself", log.a == log.b),
         ("range that is no positive number", ~(np.isfinite(log.z) & (log.z > 0))),
@@ -257,6 +301,13 @@ def _kept(log: RangeLog, robots: tuple[str, ...]) -> tuple[Int[np.ndarray, " m"]
             dropped[reason] = dropped.get(reason, 0) + int(wrong.sum())
     rows = np.flatnonzero(keep)
     return rows[np.argsort(log.t[rows], kind="stable")], dropped
+
+
+def silences(t: Float[np.ndarray, " n"]) -> list[tuple[float, float]]:
+    """From when to when [s] odometry of these stamps was silent."""
+    dt = np.diff(t)
+    long = np.flatnonzero(dt > SILENT * max(1.0, float(np.median(dt)) if len(dt) else 1.0)).tolist()
+    return [(float(t[k]), float(t[k + 1])) for k in long]
 
 
 def _instants(t: Float[np.ndarray, " n"]) -> Int[np.ndarray, " k"]:
@@ -272,4 +323,8 @@ def steps(
     z = np.asarray(se2.between(pose[:-1], pose[1:]))
     way, turn, dt = np.hypot(z[:, 0], z[:, 1]), np.abs(z[:, 2]), np.diff(t)
     xy, theta = REST_XY**2 * dt + 1e-8, TURN**2 * turn + REST_THETA**2 * dt + 1e-8
+    gone = np.isin(t[:-1], [first for first, _ in silences(t)])
+    if gone.any() and not gone.all():  # it may have driven as it did before and after, and turned anywhere
+        speed = float(way[~gone].sum() / dt[~gone].sum())
+        xy, theta = np.where(gone, np.square(speed * dt), xy), np.where(gone, np.pi**2, theta)
     return z, np.column_stack([ALONG**2 * way + xy, ACROSS**2 * way + xy, DRIFT**2 * way + theta])

@@ -168,6 +168,14 @@ def support_warnings(net: BearingNetwork, robots: np.ndarray) -> list[str]:
     return [f"so many sightings of {len(robots)} robots were called wrong that their others prove nothing: {names}"]
 
 
+def elsewhere_warnings(net: BearingNetwork, robots: np.ndarray) -> list[str]:
+    """What stands against the places of `robots` (indices), whose sightings called wrong agree on others."""
+    if not len(robots):
+        return []
+    names = ", ".join(net.ids[k] for k in robots[:10].tolist()) + (", .." if len(robots) > 10 else "")
+    return [f"sightings called wrong agree that robots stand elsewhere, as where names are exchanged: {names}"]
+
+
 def chi2_warnings(chi2: float, dof: int) -> list[str]:
     """What stands against trusting residuals of `chi2` with `dof` degrees of freedom."""
     if dof <= 0:

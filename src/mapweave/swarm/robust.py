@@ -7,7 +7,7 @@ too. Those sightings alone are then used as by the batch estimator, so that the 
 """
 
 from dataclasses import dataclass, replace
-from math import erf, sqrt
+from math import comb, erf, sqrt
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -22,7 +22,15 @@ from .batch import answers_beside, batch, refine, with_others
 from .config import ALTERNATIVES_DOUBT, ALTERNATIVES_MOST, MUTUAL_GATE, SwarmConfig
 from .factors import bearing_factor
 from .network import BearingNetwork, components, effective_sigma
-from .posterior import CLOSE, doubtful_warnings, fallen_warnings, posterior, support_warnings, trust_warnings
+from .posterior import (
+    CLOSE,
+    doubtful_warnings,
+    elsewhere_warnings,
+    fallen_warnings,
+    posterior,
+    support_warnings,
+    trust_warnings,
+)
 from .result import SwarmEstimate
 from .start import SwarmStart, linear_pattern, linear_start, mutual_pairs, prepare, triads
 
@@ -48,6 +56,7 @@ FALLEN_SWAPS = 2  # sightings let go at most for one that is taken in
 FALLEN_UNDECIDED = 0.5  # of the limit: a loss up to which a sighting called wrong may as well be right
 FALLEN_AGAINST = 6.0  # standard deviations of their difference beyond which two of a pair are not both right
 FALLEN_LIKELY = 0.015  # probability of being wrong from which on a sighting may as well be
+AGREEING, BY_CHANCE = 4, 0.01  # wrong sightings of a robot that agree on one place, and how likely that is by chance
 ROBUST_INLIER_GATE = 3.5  # standard deviations a sighting may miss by and count as an inlier
 
 
@@ -94,6 +103,34 @@ def unsupported(net: BearingNetwork, outlier: Bool[np.ndarray, " m"]) -> Int[np.
     unknown = factors.width(net)
     few = np.where(net.is_anchor, right < wrong, (right <= wrong) | ((net.dim - 1) * right <= unknown))
     return np.flatnonzero((wrong > 0) & few)
+
+
+def elsewhere(
+    net: BearingNetwork, p: Float[np.ndarray, "n d"], outlier: Bool[np.ndarray, " m"], limit: float
+) -> Int[np.ndarray, " k"]:
+    """Robots whose sightings called wrong agree on another place of them, more of them than chance lets agree.
+
+    Sightings that are wrong each by itself point anywhere; these are of a robot that stands there, as one of two that
+    are taken for each other does. Axes are common. limit: squared whitened residual up to which a sighting agrees.
+    """
+    rows = np.flatnonzero(outlier)
+    both = np.concatenate([net.observer[rows], net.target[rows]])
+    order = np.argsort(both, kind="stable")
+    ends = np.searchsorted(both[order], np.arange(len(net) + 1))
+    out = []
+    for k in np.flatnonzero(np.diff(ends) >= AGREEING).tolist():
+        mine = rows[order[ends[k] : ends[k + 1]][:CROSSINGS_OF] % len(rows)]
+        own = net.observer[mine] == k
+        other, seen = p[np.where(own, net.target[mine], net.observer[mine])], net.direction[mine]
+        places = _crossings(other, seen)
+        away = np.where(own, 1.0, -1.0)[:, None] * (other - places[:, None, :])
+        most = int((_squares(away, seen, net.sigma[mine]) <= limit).sum(axis=1).max(initial=0))
+        angle = float(np.sqrt(limit) * net.sigma[mine].max())
+        chance = min(1.0, angle / np.pi if net.dim == 2 else 0.5 * (1.0 - np.cos(min(angle, np.pi))))
+        ways = comb(len(mine), 2) * comb(len(mine) - 2, max(most - 2, 0)) * len(net)
+        if most >= AGREEING and ways * chance ** (most - 2) < BY_CHANCE:
+            out.append(k)
+    return np.array(out, dtype=np.intp)
 
 
 def _share(net: BearingNetwork, wrong: Bool[np.ndarray, " m"]) -> Float[np.ndarray, " n"]:
@@ -185,10 +222,15 @@ def _costs(
     away: Float[np.ndarray, "*h r d"], seen: Float[np.ndarray, "*r d"], sigma: Float[np.ndarray, " r"], limit: float
 ) -> Float[np.ndarray, " h"]:
     """The squared residuals of sightings along `seen` where the way is `away`, each cut off at `limit`, summed."""
+    return np.asarray(np.minimum(_squares(away, seen, sigma), limit).sum(axis=-1))
+
+
+def _squares(
+    away: Float[np.ndarray, "*h r d"], seen: Float[np.ndarray, "*r d"], sigma: Float[np.ndarray, " r"]
+) -> Float[np.ndarray, "*h r"]:
     along = np.einsum("...rd,...rd->...r", away, seen)
     across = np.linalg.norm(away - along[..., None] * seen, axis=-1)
-    miss = np.arctan2(across, along) / sigma
-    return np.asarray(np.minimum(miss * miss, limit).sum(axis=-1))
+    return np.asarray(np.square(np.arctan2(across, along) / sigma))
 
 
 @dataclass(frozen=True, slots=True)
@@ -451,6 +493,9 @@ def robust(net: BearingNetwork, cfg: SwarmConfig, initial: np.ndarray | None = N
     outside = alternatives(net, inlier, estimate)
     doubts += doubtful_warnings(net, outside, ALTERNATIVES_DOUBT)
     doubts += [*trust_warnings(net, ~inlier), *support_warnings(net, unsupported(net, ~inlier))]
+    if net.axis:
+        limit = outlier_limit(net, ROBUST_INLIER_GATE)
+        doubts += elsewhere_warnings(net, elsewhere(net, estimate.position, ~inlier, limit))
     told = replace(estimate, reliable=estimate.reliable and not doubts, warnings=(*doubts, *estimate.warnings))
     return with_others(told, answers_beside(net.select(inlier), told, cfg))
 
