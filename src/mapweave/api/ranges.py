@@ -42,6 +42,7 @@ SURVEYED = 0.02  # [m] sd of a beacon whose survey does not say it
 BIASES_APART = 1.0  # [m] by which pairs of radios differ (rms about their median) in how much too long they read
 WINDOWS = 10  # into which the ranges of a pair are cut in order of time
 OFF = 0.3  # [m] by which the median of such a window is off: twice what ranging radios scatter by
+KEPT, LOST = 0.1, 2  # of the ranges of such a window at least, or it is lost; so many in a row may be
 OFF_SHARE = 0.02  # of all windows, from which it is told: one may be off by chance
 LEAST = 3  # ranges of a window
 WORSE = 2.0  # times what ranges say of their noise, from which it is told
@@ -384,17 +385,19 @@ def _made_up_for(found: RangeEstimate) -> list[Finding]:
 def _drifting(net: RangeNetwork, found: RangeEstimate) -> list[Finding]:
     """That ranges do not keep to one place and one bias: the pair whose ranges do so least, if many do not.
 
-    Ranges that were rejected count where they are too short, which no wall makes them.
+    Ranges that were rejected count where they are too short, which no wall makes them, and where nearly all of a pair
+    are for long: its beacon may have been moved as well as hidden.
     """
     names, which = net.pairs()
-    off = np.zeros((len(names), WINDOWS))
+    off, lost = np.zeros((len(names), WINDOWS)), np.zeros((len(names), WINDOWS), bool)
     for k in range(len(names)):
         mine = np.flatnonzero((which == k) & np.isfinite(found.residual))
         mine = mine[np.argsort(net.ranges.t[mine], kind="stable")]
         for w, part in enumerate(np.array_split(mine, WINDOWS) if len(mine) >= LEAST * WINDOWS else ()):
             e, used = found.residual[part], ~found.far[part]
             short, kept = float(np.median(e)), float(np.median(e[used])) if used.sum() >= LEAST else 0.0
-            off[k, w] = short if short < -OFF else kept
+            lost[k, w] = used.mean() < KEPT
+            off[k, w] = short if short < -OFF or (lost[k, w - LOST : w + 1].sum() > LOST) else kept
     share = float((np.abs(off) > OFF).mean()) if len(names) else 0.0
     if share <= OFF_SHARE:
         return []
