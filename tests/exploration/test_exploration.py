@@ -13,7 +13,8 @@ import mapweave
 from mapweave.api.explore import explore
 from mapweave.core import se2
 from mapweave.core.errors import ConfigError, DataError, EstimateError, UsageError
-from mapweave.exploration.landmarks import crew as crew_module
+from mapweave.exploration.landmarks import belief
+from mapweave.exploration.landmarks.belief import MapTruth
 from mapweave.exploration.landmarks.config import (
     ExploreConfig,
     HandoverConfig,
@@ -26,7 +27,6 @@ from mapweave.exploration.landmarks.config import (
     find_scenario,
     make_field,
 )
-from mapweave.exploration.landmarks.crew import MapTruth
 from mapweave.exploration.landmarks.experiment import (
     CALIBRATED,
     LandmarkMission,
@@ -131,7 +131,7 @@ def count_twice():
         again = Submap(L.robot, np.zeros(3), L.ids, se2.act(se2.inverse(L.pose), L.mean), P, L.frame)
         return replace(done, map=hand_over(done.map, again, **more).map)
 
-    crew_module.hand_over = twice
+    belief.hand_over = twice
 
 
 @pytest.mark.slow

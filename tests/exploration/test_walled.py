@@ -23,7 +23,7 @@ from mapweave.exploration.landmarks.experiment import (
     explore_once,
     with_noise,
 )
-from mapweave.exploration.landmarks.steering import PUT_OFF_AFTER, given_up, next_target, offered
+from mapweave.exploration.landmarks.objective import PUT_OFF_AFTER, given_up, next_target, offered
 from mapweave.exploration.landmarks.team import Team
 from mapweave.exploration.planner_interface import find_planner
 from mapweave.io.mrclam import read_mrclam

@@ -16,8 +16,7 @@ from ..core.paths import checked_arguments
 from ..core.version import __version__
 from ..core.workers import one_blas_thread
 from ..io.directory import check_target, write_json
-from ..io.fixes import write_georeferenced
-from ..io.points import read_points
+from ..io.fixes import read_points, write_georeferenced
 from ..io.pyfg import read_pyfg, write_pyfg
 from ..io.range_bags import is_range_bag, read_range_bag
 from ..io.rawlog import is_rawlog_of_ranges, read_rawlog_ranges

@@ -10,10 +10,9 @@ from ..landmarks import ekf_slam
 from ..landmarks.config import EkfSlamConfig
 from ..landmarks.landmark_map import LocalMap, Submap
 from ..landmarks.mapping import local_map, without_impossible
-from .columns import pack, pack_triangle
 from .door import decode
 from .landmark_stream import LandmarkRecord
-from .messages import Header, Numbered, Snapshot
+from .messages import Header, Numbered, Snapshot, pack, pack_triangle
 from .store import Store
 
 WANDERING_EVERY = 32  # messages: a robot without odometry is mapped anew from its first row

@@ -10,9 +10,8 @@ from jaxtyping import Float, Int
 from ..core.findings import finding_of, unused_of
 from ..core.landmark_log import NOTHING_SEEN, LandmarkLog, SightingTable
 from ..core.records import Odometry
-from .columns import pack, unpack
 from .door import MOST_NAMES, expect_span
-from .messages import Closed, Header, Message, Numbered, RefusedError, Rows
+from .messages import Closed, Header, Message, Numbered, RefusedError, Rows, pack, unpack
 
 WHEELS_LATE = 3.0  # [s] of its rows after which a robot that has told none of its wheels is taken to have none
 MOST_SIGHTINGS = 20_000  # in one message; packets of a log are split beyond

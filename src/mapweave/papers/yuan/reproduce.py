@@ -176,7 +176,7 @@ CLAIMS = (
     ),
     Claim(
         "Without the escape to a frontier robots get caught",
-        "exploration/landmarks/steering.py",
+        "exploration/landmarks/objective.py",
         f"{WHOLE}::test_without_the_escape_no_run_ends",
         "not told",
         "escape",
