@@ -64,9 +64,9 @@ def _accuracy(o: Outcome) -> list[float]:
 
 
 WHOLE = "exploration/test_exploration.py"
-FIGURES = f"{WHOLE}::test_the_papers_planner_finishes_every_run_within_its_figures"
 WRITTEN = "papers/test_reproduce_yuan.py"
 JUDGED = "papers/test_yuan_claims.py"
+FIGURES = f"{JUDGED}::test_the_papers_planner_finishes_every_run_within_its_figures"
 FUSION = "exploration/test_submap_fusion.py"
 
 
