@@ -10,8 +10,7 @@ import pytest
 from mapweave.landmarks.config import EkfSlamConfig
 from mapweave.landmarks.mapping import grow
 from mapweave.live.door import decode
-from mapweave.live.landmark_robot import LandmarkRobot
-from mapweave.live.landmark_stream import LandmarkRecord
+from mapweave.live.landmark_stream import LandmarkRecord, LandmarkRobot
 from mapweave.live.messages import (
     LARGEST,
     PROTOCOL,

@@ -46,9 +46,9 @@ from ..mapping.config import LaserConfig
 from ..mapping.laser_mapping import map_laser
 from ..report.html import told_list
 from ..report.result import ResultBase, Rows
-from ..report.score import headline_scores
 from ..report.style import Target
 from ..report.team import MixedStory, mixed_scene, words, write_mixed_report
+from ..report.team_figures import headline_scores
 from ..team.clocks import on_camera_clock
 from ..team.config import ANOTHER_TIME
 from ..team.georeference import seen_from_first

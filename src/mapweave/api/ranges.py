@@ -28,9 +28,9 @@ from ..ranges.estimate import PlacedPart, RangeEstimate, estimate
 from ..ranges.network import RangeLog, RangeNetwork, network_of
 from ..report.html import told_list
 from ..report.result import ResultBase, Rows, written
-from ..report.score import headline_scores
 from ..report.small_pages import RangeStory, range_scene, write_range_report
 from ..report.style import Target
+from ..report.team_figures import headline_scores
 from ..team.georeference import laid_ranges
 from ..team.team_map import TeamMap, in_first_frame, way_loose
 from .evaluate import Evaluation, judged

@@ -25,8 +25,7 @@ from .door import decode
 from .inbox import Inbox, Ledger
 from .isolation import beside, in_words, without_culprits
 from .joined import Apart, Joined
-from .landmark_robot import mapped_again
-from .landmark_stream import LandmarkRecord, rows_told
+from .landmark_stream import LandmarkRecord, mapped_again, rows_told
 from .laser_team import Starts, WovenTeam, nobody
 from .laser_weaver import LaserWeaver
 from .messages import (

@@ -17,18 +17,17 @@ from ..evaluation.landmarks import exchanges_told
 from ..fusion.result import APART
 from ..landmarks.landmark_map import LocalMap
 from ..laser.laser_map import GridMap
-from ..report import style, team_figures
 from ..team.mixed import MixedMap
 from ..team.online import OnlineRun
 from ..team.robot_part import PARAMETERS
 from ..team.smooth import Smoothed, is_observed
 from ..team.team_map import TeamMap
+from . import style, team_figures
 from .html import Page, sentence_case, told_list
 from .laser_figures import MOST_LAYERS, median_deviation, walls
 from .scene import Scene, landmark_points
-from .score import add_growth, growth, landmark_errors, nees_name, track_errors
 from .style import colour
-from .team_figures import TeamStory
+from .team_figures import TeamStory, add_growth, growth, landmark_errors, nees_name, track_errors
 from .woven import told_merge
 
 MOST_NAMED = 12  # robots in the page's first sentence, and with a switch of their own below the map
