@@ -35,11 +35,10 @@ from mapweave.io.landmark_logs import read_landmark_logs
 from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.landmarks.mapping import local_map
 from mapweave.solve import SolveConfig, minimise
-from mapweave.team.commanded_motion import random_walk
 from mapweave.team.config import MOTION_NOISE_OUTLIER, UNKNOWN_MEMORY, SmoothingConfig
 from mapweave.team.factors import CAMERA_NOISE_OUTLIER
 from mapweave.team.problem import SMOOTHING_ITERATIONS, TeamProblem, team_problem
-from mapweave.team.robot_part import PARAMETERS, RobotPart
+from mapweave.team.robot_part import PARAMETERS, RobotPart, random_walk
 from mapweave.team.team_map import TeamMap
 
 CFG = SmoothingConfig()

@@ -42,12 +42,11 @@ from mapweave.io.landmark_logs import read_landmark_logs
 from mapweave.io.mrclam import write_mrclam
 from mapweave.landmarks.config import EkfSlamConfig
 from mapweave.live import inbox as inboxes
-from mapweave.live.columns import squeeze
 from mapweave.live.door import MOST_BEAMS
-from mapweave.live.landmark_robot import LandmarkRobot
+from mapweave.live.landmark_stream import LandmarkRobot
 from mapweave.live.laser_team import compile_kernels
 from mapweave.live.map_process import MapProcess
-from mapweave.live.messages import LARGEST, Header, MapState, Message, ScanBeams, Scans, Status, Topics, encode
+from mapweave.live.messages import LARGEST, Header, MapState, Message, ScanBeams, Scans, Status, Topics, encode, squeeze
 from mapweave.live.robot import pause_after
 from mapweave.live.sources import messages
 from mapweave.live.store import Store

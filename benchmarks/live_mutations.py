@@ -24,8 +24,7 @@ from mapweave.landmarks.config import EkfSlamConfig
 from mapweave.live.door import decode
 from mapweave.live.driven import LaserRobot
 from mapweave.live.inbox import AGAIN, Inbox
-from mapweave.live.landmark_robot import LandmarkRobot
-from mapweave.live.landmark_stream import messages_of
+from mapweave.live.landmark_stream import LandmarkRobot, messages_of
 from mapweave.live.laser_stream import messages_of_laser
 from mapweave.live.messages import (
     Correction,

@@ -2,7 +2,7 @@
 
     python benchmarks/localize_trust.py [--starts 100] [--seed 0] [--scans 60] [--json FILE]
 
-The table of `reproduce hara` (`papers/hara/starts.py`) alone, with starts and seeds of one's own.
+The table of `reproduce hara` (`papers/hara/experiments.py`) alone, with starts and seeds of one's own.
 """
 
 import argparse
@@ -10,7 +10,7 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-from mapweave.papers.hara.starts import SCANS, starts_table, try_starts
+from mapweave.papers.hara.experiments import SCANS, starts_table, try_starts
 from mapweave.papers.reproduction import markdown
 
 

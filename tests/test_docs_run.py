@@ -85,7 +85,8 @@ def inputs(tmp_path_factory):
     drive = simulate_office(OfficeConfig(rooms=2, visited=1), 1)
     cloud_bag(home / "clouds.bag", drive.log)
     recorded(home / "tags.mcap", Recording.objects).write()
-    quiet("simulate", "team", "--out", home / "radios", "--ranges", "--lasers", 2, "--beacons", 2, "--minutes", 0.5)
+    two = ["--lasers", 2, "--cameras", 0, "--bearings", 0]
+    quiet("simulate", "team", "--out", home / "radios", "--ranges", *two, "--beacons", 2, "--minutes", 0.5)
     quiet("map", home / "radios", "--out", home / "ranged")
     shutil.copy(home / "ranged" / "graph.pyfg", home / "FILE.pyfg")
     (home / "world.toml").write_text(

@@ -3,10 +3,9 @@
 
 from .api.compare import Comparison as Comparison, compare as compare
 from .api.configuration import configuration as configuration
-from .api.demo import demo as demo
+from .api.demo import SelfTest as SelfTest, demo as demo, self_test as self_test
 from .api.causes import Cause as Cause, Causes as Causes
 from .api.doctor import Diagnosis as Diagnosis, doctor as doctor
-from .api.self_test import SelfTest as SelfTest, self_test as self_test
 from .api.view import edit as edit
 from .api.evaluate import Evaluation as Evaluation, evaluate as evaluate
 from .api.evaluate import RelationEvaluation as RelationEvaluation

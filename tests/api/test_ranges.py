@@ -12,7 +12,7 @@ import mapweave
 from mapweave.core import se2
 from mapweave.core.errors import UsageError
 from mapweave.core.fixes import enu_of
-from mapweave.io.points import read_points
+from mapweave.io.fixes import read_points
 from mapweave.io.pyfg import read_pyfg
 from mapweave.io.range_bags import read_range_bag, write_range_bag
 from mapweave.sim.laser import DATUM

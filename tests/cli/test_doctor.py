@@ -55,11 +55,11 @@ def test_a_job_that_comes_out_wrong_or_fails_is_told_and_ends_with_1(monkeypatch
         raise mapweave.DataError("no scans")
 
     trials = {"landmarks": lambda _: ("3 robots", True), "laser": failing, "swarm": lambda _: ("far off", False)}
-    monkeypatch.setattr("mapweave.api.self_test.TRIALS", trials)
+    monkeypatch.setattr("mapweave.api.demo.TRIALS", trials)
     assert _run(["self-test"]) == 1
     told = capsys.readouterr().out
     assert told.startswith("landmarks: 3 robots\nlaser: FAILED: no scans (WRONG)\nswarm: far off (WRONG)\n")
-    monkeypatch.setattr("mapweave.api.self_test.TRIALS", {"landmarks": trials["landmarks"]})
+    monkeypatch.setattr("mapweave.api.demo.TRIALS", {"landmarks": trials["landmarks"]})
     assert _run(["self-test", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["healthy"]
 

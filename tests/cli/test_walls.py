@@ -49,7 +49,7 @@ def names(folder):
 @pytest.mark.slow
 def test_a_full_disk_is_told_and_the_earlier_result_stays(team, tmp_path):
     out = tmp_path / "out"
-    assert run("map", team, "--out", out).returncode == 0
+    assert _run(["map", str(team), "--out", str(out)]) == 0
     before = {p: p.read_bytes() for p in out.rglob("*") if p.is_file()}
 
     def small_disk():
@@ -116,11 +116,11 @@ def test_a_reader_that_stops_after_one_line_of_a_summary_ends_it_silently(team, 
 
 
 @pytest.mark.slow
-def test_closed_stdin_and_stdout_leave_a_whole_result(team, tmp_path):
-    line = f"{SHELL} map {team} --out {tmp_path / 'out'} --no-refine <&- >&-"
+def test_closed_stdin_and_stdout_leave_a_whole_result(tmp_path):
+    line = f"{SHELL} simulate landmarks --robots 2 --minutes 0.2 --out {tmp_path / 'out'} <&- >&-"
     done = subprocess.run(["bash", "-c", line], capture_output=True, timeout=300, check=False)  # noqa: S603, S607
     assert (done.returncode, done.stderr) == (0, b"")
-    assert (tmp_path / "out" / "report.html").exists()
+    assert (tmp_path / "out" / "simulation.json").exists()
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from mapweave.cli import _run
 from mapweave.core import se2
 from mapweave.core.records import Track
 from mapweave.core.truth import NO_SURVEY, Survey
-from mapweave.evaluation.belonging import BEYOND, another_order_fits
+from mapweave.evaluation.consistency import BEYOND, another_order_fits
 from mapweave.evaluation.swarm import StandingSwarm, score_moving, score_standing
 from mapweave.evaluation.team import RobotTruth, as_json, score_team
 from mapweave.io.sightings import SwarmTruth

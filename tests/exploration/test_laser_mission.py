@@ -14,8 +14,6 @@ from mapweave.exploration.laser.experiment import LaserMission, explore_laser_on
 from mapweave.io.laser_logs import read_laser
 from mapweave.mapping.keyframe_graph import START_SD
 
-from .fresh import workers
-
 # Two rooms of 6 x 5 m and a door of 1 m; in the right one a cell whose entrance is too narrow.
 ROOMS = """
 sensor = "laser"
@@ -38,18 +36,9 @@ def rooms(tmp_path):
     return path
 
 
-def in_a_fresh_process(function, *arguments):
-    """Where the tests' shape checks are off."""
-    return workers().submit(function, *arguments).result()
-
-
-def whole_office(area, robots, seed):
-    return explore_laser_once(LaserMission(find_laser_scenario(f"office-{area}"), robots), seed)[0]
-
-
 @pytest.mark.slow
 def test_two_robots_map_an_office_without_touching_anything():
-    told = in_a_fresh_process(whole_office, 500, 2, 0)
+    told, _ = explore_laser_once(LaserMission(find_laser_scenario("office-500"), 2), 0)
     assert told.finished
     assert told.area_mapped >= 0.99
     assert told.collisions == 0
@@ -61,14 +50,9 @@ def test_two_robots_map_an_office_without_touching_anything():
     assert told.nees_per_dof < 1.5
 
 
-def half_the_messages_and_a_death(path):
-    mission = LaserMission(find_laser_scenario(path), 3, kills={1: 12}, drop=0.5)
-    return explore_laser_once(mission, 3)[0]
-
-
 @pytest.mark.slow
 def test_lost_messages_and_a_death_are_survived(rooms):
-    told = in_a_fresh_process(half_the_messages_and_a_death, str(rooms))
+    told, _ = explore_laser_once(LaserMission(find_laser_scenario(str(rooms)), 3, kills={1: 12}, drop=0.5), 3)
     assert told.finished
     assert told.area_mapped >= 0.99
     assert told.collisions == 0

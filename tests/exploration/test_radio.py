@@ -7,8 +7,8 @@ import pytest
 
 from mapweave.api.explore import explore
 from mapweave.core.errors import UsageError
+from mapweave.exploration.landmarks.belief import parted, united
 from mapweave.exploration.landmarks.config import ExploreConfig, MissionConfig, find_scenario, make_field
-from mapweave.exploration.landmarks.crew import parted, united
 from mapweave.exploration.landmarks.experiment import LandmarkMission, explore_once
 from mapweave.exploration.landmarks.team import RENDEZVOUS_PATIENCE, Team
 from mapweave.exploration.planner_interface import find_planner

@@ -10,10 +10,10 @@ import pytest
 from mapweave.core.config import build
 from mapweave.exploration import world
 from mapweave.exploration.landmarks import config as landmarks
-from mapweave.exploration.landmarks import coverage, steering
+from mapweave.exploration.landmarks import coverage, objective
 from mapweave.exploration.landmarks.config import ExploreConfig, ScenarioConfig, make_field
 from mapweave.exploration.landmarks.coverage import approach_cost
-from mapweave.exploration.landmarks.steering import steer
+from mapweave.exploration.landmarks.objective import steer
 from mapweave.exploration.landmarks.team import Team
 from mapweave.exploration.laser import config as laser
 from mapweave.exploration.laser import planners
@@ -54,9 +54,9 @@ def test_what_a_wrong_heading_costs_decides_whether_a_robot_turns_first(monkeypa
     team = Team(make_field(ScenarioConfig(landmarks=3), 1, 0), cfg, coverage.choose, np.random.default_rng(0))
     pose, goal = np.zeros(3), np.array([0.0, 10.0])
     assert steer(team.belief(), pose, goal, cfg)[1] == max(cfg.commands.turns)
-    monkeypatch.setattr(steering, "STEERING_HEADING_COST", 50.0)
+    monkeypatch.setattr(objective, "STEERING_HEADING_COST", 50.0)
     strict = steer(team.belief(), pose, goal, cfg)[0]
-    monkeypatch.setattr(steering, "STEERING_HEADING_COST", 0.01)
+    monkeypatch.setattr(objective, "STEERING_HEADING_COST", 0.01)
     assert strict <= steer(team.belief(), pose, goal, cfg)[0]
     assert steer(team.belief(), pose, np.array([10.0, 0.1]), cfg)[0] == max(cfg.commands.speeds)
 

@@ -18,8 +18,6 @@ from mapweave.mapping.merge import merge_maps
 from mapweave.sim.laser import LaserWorld
 from mapweave.sim.laser_team import LaserTeamSim
 
-from .fresh import workers
-
 APART = """
 sensor = "laser"
 walls = [
@@ -36,29 +34,19 @@ HALL = Walls(
 )
 
 
-def in_a_fresh_process(function, *arguments):
-    """Where the tests' shape checks are off."""
-    return workers().submit(function, *arguments).result()
-
-
-def met(area, robots, seed):
-    told, record = explore_laser_once(LaserMission(find_laser_scenario(f"office-{area}"), robots, apart=True), seed)
-    return told, record.maps, record.meetings
-
-
 @pytest.mark.slow
 def test_robots_that_know_no_starts_find_each_other_and_make_one_true_map():
     """Office 24 has rooms that look alike: by their maps alone robots would be joined 13.5 m off."""
-    told, maps, meetings = in_a_fresh_process(met, 1000, 4, 24)
+    told, record = explore_laser_once(LaserMission(find_laser_scenario("office-1000"), 4, apart=True), 24)
     assert told.finished
-    assert maps == (("robot1", "robot2", "robot3", "robot4"),)
-    assert sum(m.joined for m in meetings) == 3
+    assert record.maps == (("robot1", "robot2", "robot3", "robot4"),)
+    assert sum(m.joined for m in record.meetings) == 3
     assert told.area_mapped >= 0.99
     assert told.collisions == 0
     assert told.misassociations == 0
     assert told.trajectory_rmse <= 0.12
     assert told.nees_per_dof < 1.5
-    alike = [m for m in meetings if not m.joined and m.through >= 50]
+    alike = [m for m in record.meetings if not m.joined and m.through >= 50]
     assert alike
     assert all(m.wrong < 0.1 and m.seen <= 2 for m in alike)
     assert "would have seen each other there" in alike[0].reason

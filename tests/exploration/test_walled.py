@@ -23,14 +23,12 @@ from mapweave.exploration.landmarks.experiment import (
     explore_once,
     with_noise,
 )
-from mapweave.exploration.landmarks.steering import PUT_OFF_AFTER, given_up, next_target, offered
+from mapweave.exploration.landmarks.objective import PUT_OFF_AFTER, given_up, next_target, offered
 from mapweave.exploration.landmarks.team import Team
 from mapweave.exploration.planner_interface import find_planner
 from mapweave.io.mrclam import read_mrclam
 from mapweave.kernels.walls.segments import distance_of_moves
 from mapweave.landmarks.submap_slam import SubmapConfig, move
-
-from .fresh import workers
 
 BOX = ((50.0, 32.0, 56.0, 32.0), (56.0, 32.0, 56.0, 37.0), (56.0, 37.0, 50.0, 37.0), (50.0, 37.0, 50.0, 32.0))
 INNER = (
@@ -56,8 +54,8 @@ def test_every_planner_explores_a_hall_with_walls_honestly():
     jcbb = replace(KNOWN, submap=replace(KNOWN.submap, association="jcbb"))
     four = LandmarkMission(HALL, 4, "coverage", "field", {1: 30}, 0.2, KNOWN)
     missions = [LandmarkMission(HALL, 2, name, "field", cfg=KNOWN) for name in ("paper", "area", "coverage", "loop")]
-    every = [explore_many(m, 2, 0, workers()) for m in missions]
-    others = [explore_many(m, 2, 0, workers()) for m in (four, replace(missions[2], cfg=jcbb))]
+    every = [explore_many(m, 2, 0) for m in missions]
+    others = [explore_many(m, 2, 0) for m in (four, replace(missions[2], cfg=jcbb))]
     for runs in every + others:
         assert all(r.finished for r in runs)
     assert sum(r.missed for runs in every + others for r in runs) <= 1  # of 350 landmarks: the field is the goal

@@ -6,7 +6,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from mapweave.core.records import Track
-from mapweave.io.result_mcap import write_result_mcaps
+from mapweave.io.mcap import write_result_mcaps
 from mapweave.io.team_map import write_landmark_arrays
 from mapweave.io.tum import write_track_covariance, write_tum
 from mapweave.landmarks.landmark_map import LandmarkMap

@@ -5,7 +5,7 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.core.records import frozen
-from mapweave.kernels.laser.likelihood_field import score_field
+from mapweave.kernels.laser.scan_laying import score_field
 from mapweave.laser.laser_map import GridMap
 from mapweave.laser.likelihood_field import nearest_field
 

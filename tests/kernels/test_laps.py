@@ -6,7 +6,7 @@ import pytest
 from mapweave.core.records import frozen
 from mapweave.exploration.landmarks import coverage
 from mapweave.exploration.landmarks.config import ExploreConfig
-from mapweave.exploration.landmarks.steering import steer
+from mapweave.exploration.landmarks.objective import steer
 from mapweave.exploration.landmarks.team import Team
 from mapweave.kernels.exploration.laps import (
     LandmarkSensor,

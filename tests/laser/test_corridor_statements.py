@@ -1,25 +1,29 @@
 """What intensity is worth on the 200 m loop, in the small; `benchmarks/corridor.py` runs it whole."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from mapweave.core import se2
+from mapweave.laser import particle_slam
 from mapweave.laser.beam import IntensityCalibration, beams
+from mapweave.laser.laser_map import ScanInfos
 from mapweave.laser.particle_grid import ParticleGrid
 from mapweave.laser.particle_slam import as_points, log_likelihood
 from mapweave.mapping.config import LaserConfig
-from mapweave.mapping.laser_mapping import choose_feature, map_laser
+from mapweave.mapping.laser_mapping import choose_feature, finish, map_laser
 from mapweave.papers.hara.experiments import score
 from mapweave.sim.laser import SECOND_LAW, DriveConfig
 from mapweave.sim.laser_worlds import CorridorConfig, simulate_corridor
 
 LOOP = CorridorConfig(long_leg=25.0, short_leg=12.0, distance=85.0, start=6.0)
 CFG = LaserConfig(method="particle", particles=64, threads=1)
+KNOTS = np.linspace(0.0, 6.0, 31)
+LAW = IntensityCalibration(KNOTS, -np.log1p((KNOTS / 1.5) ** 2), 1.0, 40000 * 0.9, 0.0, 1)  # the simulator's own
 
 
 def errors(sim, **more):
-    from dataclasses import replace
-
     made = map_laser(sim.log, replace(CFG, **more), 0)
     return score(made.track, sim.truth), score(made.dead_reckoning, sim.truth)
 
@@ -44,36 +48,27 @@ def test_a_reflectance_law_the_estimator_was_not_told_does_no_harm():
 @pytest.mark.slow
 def test_a_self_calibrated_feature_maps_as_well_as_the_true_law():
     sim = simulate_corridor(LOOP, seed=32)
-    knots = np.linspace(0.0, 6.0, 31)
-    true = IntensityCalibration(knots, -np.log1p((knots / 1.5) ** 2), 1.0, 40000 * 0.9, 0.0, 1)
     own, _ = errors(sim)
-    found = choose_feature(sim.log, CFG)
-    told = score(_mapped_with(sim, found, true).track, sim.truth)
+    found = replace(choose_feature(sim.log, CFG), calibration=LAW)
+    told = score(mapped_by(sim, found, CFG).track, sim.truth)
     assert own <= max(1.5 * told, 0.15)
 
 
-def _mapped_with(sim, feature, calibration):
-    from dataclasses import replace
-
-    from mapweave.laser import particle_slam
-    from mapweave.laser.laser_map import ScanInfos
-    from mapweave.mapping.laser_mapping import finish
-
-    rng = np.random.default_rng(0)
-    state = particle_slam.init("1", CFG, rng, feature="normalised", calibration=calibration)
+def mapped_by(sim, feature, cfg, seed=0):
+    """The particle filter's map of a drive by a feature that it is given."""
+    rng = np.random.default_rng(seed)
+    state = particle_slam.init("1", cfg, rng, feature="normalised", calibration=feature.calibration)
     infos = ScanInfos()
     for event in sim.log.events():
-        state, info = particle_slam.step(state, event, CFG, rng)
+        state, info = particle_slam.step(state, event, cfg, rng)
         if info is not None:
             infos.append(info)
-    return finish(sim.log, CFG, replace(feature, calibration=calibration), particle_slam.trajectory(state), infos)
+    return finish(sim.log, cfg, feature, particle_slam.trajectory(state), infos)
 
 
 @pytest.mark.parametrize(("feature", "least", "most"), [("normalised", 0.85, 1.0), ("none", 0.0, 0.40)])
 def test_in_a_flush_corridor_only_brightness_mends_a_start_that_is_off(feature, least, most):
     """64 particles spread 0.8 m along the wall round a start 0.4 m off: is the likeliest one where the robot is?"""
-    from dataclasses import replace
-
     sim = simulate_corridor(CorridorConfig(long_leg=40.0, distance=24.0, start=4.0), seed=33)
     cfg = replace(CFG, feature=feature)
     found = choose_feature(sim.log, cfg)

@@ -10,10 +10,10 @@ from mapweave.live.inbox import Inbox
 from mapweave.live.laser_team import DRIVEN, compile_kernels
 from mapweave.live.map_process import BEHIND, MapProcess
 from mapweave.live.messages import Topics
-from mapweave.live.placed import Placed
 from mapweave.live.store import Store
 from mapweave.live.transport import Network, session
 from mapweave.live.view import PAGE
+from mapweave.live.weaving import Placed
 
 from .teams import payloads, team
 

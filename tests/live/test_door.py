@@ -9,11 +9,21 @@ import pytest
 
 from mapweave.api.simulate import simulate_laser
 from mapweave.core.findings import Unused
-from mapweave.live.columns import pack, pack_triangle
 from mapweave.live.door import JUMP, LONGEST, MOST_BEAMS, MOST_MESSAGES, decode
 from mapweave.live.landmark_stream import LandmarkRecord
 from mapweave.live.laser_stream import LaserRecord, messages_of_laser
-from mapweave.live.messages import Closed, Header, RefusedError, Rows, Scans, Snapshot, Status, encode
+from mapweave.live.messages import (
+    Closed,
+    Header,
+    RefusedError,
+    Rows,
+    Scans,
+    Snapshot,
+    Status,
+    encode,
+    pack,
+    pack_triangle,
+)
 from mapweave.sim.laser_worlds import CorridorConfig
 
 LOG = replace(simulate_laser(world=CorridorConfig(distance=2.0), seed=1).log, robot="robot1")

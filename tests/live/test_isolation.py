@@ -162,7 +162,7 @@ def heard_snapshots(store, *snapshots):
 
 
 def snapshot(robot, points):
-    from mapweave.live.columns import pack, pack_triangle
+    from mapweave.live.messages import pack, pack_triangle
 
     n = len(points)
     return Snapshot(

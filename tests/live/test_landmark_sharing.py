@@ -11,8 +11,7 @@ from mapweave.live import map_process
 from mapweave.live import robot as robots
 from mapweave.live.door import decode
 from mapweave.live.inbox import Inbox
-from mapweave.live.landmark_robot import LandmarkRobot
-from mapweave.live.landmark_stream import messages_of
+from mapweave.live.landmark_stream import LandmarkRobot, messages_of
 from mapweave.live.map_process import MapProcess
 from mapweave.live.messages import Rows, Snapshot, Topics, encode
 from mapweave.live.robot import Pace, RobotProcess, pause_after

@@ -19,11 +19,11 @@ from mapweave.live.laser_team import LiveLaserTeam, WovenTeam, nobody
 from mapweave.live.laser_weaver import LaserWeaver
 from mapweave.live.messages import Tile, encode
 from mapweave.live.pair_search import PairSearch, PairTrial
-from mapweave.live.placed import Placed
 from mapweave.live.shared_map import SharedMap
 from mapweave.live.store import Store
 from mapweave.live.tile_mapper import Standing, TileMapper
 from mapweave.live.tiles import COARSER, LEVELS, SIDE, is_tile, pack
+from mapweave.live.weaving import Placed
 from mapweave.mapping import known_places
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.merge import MapClosure, Merge, merge_maps

@@ -9,10 +9,8 @@ import pytest
 
 from mapweave.landmarks.config import EkfSlamConfig
 from mapweave.landmarks.mapping import grow
-from mapweave.live.columns import pack, pack_triangle, unpack, unpack_triangle
 from mapweave.live.door import decode
-from mapweave.live.landmark_robot import LandmarkRobot
-from mapweave.live.landmark_stream import LandmarkRecord
+from mapweave.live.landmark_stream import LandmarkRecord, LandmarkRobot
 from mapweave.live.messages import (
     LARGEST,
     PROTOCOL,
@@ -29,6 +27,10 @@ from mapweave.live.messages import (
     Status,
     Tile,
     encode,
+    pack,
+    pack_triangle,
+    unpack,
+    unpack_triangle,
 )
 
 from .teams import messages, team

@@ -19,11 +19,11 @@ from mapweave.live.joined import Joined, SightedAt, Tied, into_one_frame
 from mapweave.live.laser_team import WovenTeam
 from mapweave.live.map_process import MapProcess
 from mapweave.live.messages import Topics, encode
-from mapweave.live.placed import ALONE, Placed
 from mapweave.live.shared_map import SharedMap
 from mapweave.live.sources import messages, open_source
 from mapweave.live.store import Store
 from mapweave.live.transport import Network, session
+from mapweave.live.weaving import ALONE, Placed
 
 from .processes import Fleet, same_result
 

@@ -17,7 +17,7 @@ from mapweave.api.live import INSECURE, live_keys, live_map, live_robot
 from mapweave.api.live_laser import LiveLaser
 from mapweave.api.simulate import simulate_landmarks
 from mapweave.cli import _run
-from mapweave.cli.live_door import FORGED, STRANGER, Denials, plain, reason_of
+from mapweave.cli.terminal import FORGED, STRANGER, Denials, plain, reason_of
 from mapweave.core.errors import DataError, UsageError
 from mapweave.live import transport
 from mapweave.live.credentials import Authority, _authority, expect_heard, issue, make_team, tls_settings

@@ -5,8 +5,7 @@ import zlib
 import numpy as np
 import pytest
 
-from mapweave.live.columns import squeeze, stretch
-from mapweave.live.messages import RefusedError
+from mapweave.live.messages import RefusedError, squeeze, stretch
 
 rng = np.random.default_rng(0)
 MILLIMETRES = np.rint(1000 * (3.0 + 0.2 * rng.standard_normal(300)).cumsum() / np.arange(1, 301))

@@ -100,7 +100,7 @@ def test_of_small_maps_nobody_fitted_to_as_many_are_right_as_is_said():
     """Maps of fewer keyframes and beams than the fit had: the number right is within three sd of the sum of what is
     said, and what is said of those that are right is more than of others."""
     said, right = [], []
-    for seed in range(40, 58):
+    for seed in range(40, 50):
         made = office_pair(seed, [0.0, 0.1, 0.3, 0.6][seed % 4])
         told = merge_maps(made.a, made.b)
         said.append(told.grounds.probability())

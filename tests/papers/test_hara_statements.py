@@ -8,11 +8,10 @@ import pytest
 from mapweave.core import se2
 from mapweave.kernels.laser.refine import systematic
 from mapweave.laser import particle_slam
-from mapweave.laser.beam import IntensityCalibration, beams
-from mapweave.laser.laser_map import ScanInfos
+from mapweave.laser.beam import beams
 from mapweave.laser.particle_grid import ParticleGrid
 from mapweave.mapping.config import LaserConfig
-from mapweave.mapping.laser_mapping import choose_feature, finish, map_laser
+from mapweave.mapping.laser_mapping import choose_feature, map_laser
 from mapweave.papers.hara.experiments import (
     GRAPH,
     ICP,
@@ -25,9 +24,9 @@ from mapweave.papers.hara.experiments import (
 )
 from mapweave.sim.laser_worlds import CorridorConfig, simulate_corridor
 
+from ..laser.test_corridor_statements import LAW, mapped_by
+
 SEEDS = range(6)
-KNOTS = np.linspace(0.0, 6.0, 31)
-LAW = IntensityCalibration(KNOTS, -np.log1p((KNOTS / 1.5) ** 2), 1.0, 40000 * 0.9, 0.0, 1)  # the simulator's own
 FULL = LaserConfig(method="particle", particles=512)
 METHODS = {
     "icp geometry": replace(ICP, feature="none"),
@@ -117,19 +116,8 @@ def test_the_feature_found_from_the_log_is_the_reflectance_and_maps_as_well_as_t
         q = np.concatenate([b.q for b in seen])
         rho = np.concatenate([sim.reflectance[k][b.beam] for k, b in enumerate(seen)])
         assert np.corrcoef(q, rho)[0, 1] >= 0.90
-        told.append(score(_mapped(sim, replace(feature, calibration=LAW), METHODS["128"], seed).track, sim.truth))
+        told.append(score(mapped_by(sim, replace(feature, calibration=LAW), METHODS["128"], seed).track, sim.truth))
     assert errors("128").mean() <= 1.5 * np.mean(told)
-
-
-def _mapped(sim, feature, cfg, seed):
-    rng = np.random.default_rng(seed)
-    state = particle_slam.init("1", cfg, rng, feature="normalised", calibration=feature.calibration)
-    infos = ScanInfos()
-    for event in sim.log.events():
-        state, info = particle_slam.step(state, event, cfg, rng)
-        if info is not None:
-            infos.append(info)
-    return finish(sim.log, cfg, feature, particle_slam.trajectory(state), infos)
 
 
 @pytest.mark.long
@@ -152,8 +140,8 @@ def test_a_start_that_is_off_along_a_flush_wall_is_mended_by_tracking_with_brigh
     """64 particles round a start 0.4 m off along the wall follow the robot for 5 m: is their mean where it is?"""
     rng = np.random.default_rng(0)
     right = []
-    for seed in SEEDS:
-        sim = simulate_corridor(CorridorConfig(long_leg=50.0, distance=32.0, start=6.0), seed=30 + seed)
+    for seed in (30, 31, 32):
+        sim = simulate_corridor(CorridorConfig(long_leg=50.0, distance=32.0, start=6.0), seed=seed)
         cfg = LaserConfig(feature=feature)
         light = choose_feature(sim.log, cfg)
         truth = se2.interpolate(sim.log.scan_t, sim.truth.t, sim.truth.pose)

@@ -6,8 +6,17 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.papers.kojima.experiments import UNEQUAL_LARGEST, UNEQUAL_SMALLEST, draw_unequal
-from mapweave.papers.kojima.world import KOJIMA_ARENA, KOJIMA_RADIUS, SEEN, KojimaConfig, draw_worlds, run_filters
+from mapweave.papers.kojima.experiments import (
+    KOJIMA_ARENA,
+    KOJIMA_RADIUS,
+    SEEN,
+    UNEQUAL_LARGEST,
+    UNEQUAL_SMALLEST,
+    KojimaConfig,
+    draw_unequal,
+    draw_worlds,
+    run_filters,
+)
 
 
 def test_worlds_are_laid_out_as_said_and_the_same_seed_gives_the_same():

@@ -5,8 +5,7 @@ import pytest
 
 from mapweave.fusion.relative_information import RelativeLayout, measurement
 from mapweave.papers.kojima import rls
-from mapweave.papers.kojima.experiments import settling
-from mapweave.papers.kojima.world import KojimaConfig, draw_worlds, run_filters
+from mapweave.papers.kojima.experiments import KojimaConfig, draw_worlds, run_filters, settling
 
 INFORMATION = np.array([1e-5] * 3 + [1e3] * 16)  # the paper's initial covariance, inverted
 

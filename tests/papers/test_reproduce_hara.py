@@ -16,12 +16,13 @@ from mapweave.papers.hara.experiments import (
     SPARSE_LENGTH,
     STRETCH,
     along_error,
+    counts,
     estimate_alpha,
     simulate_hard,
+    starts_table,
     try_gate,
 )
 from mapweave.papers.hara.reproduce import reproduce_hara
-from mapweave.papers.hara.starts import counts, starts_table
 from mapweave.sim.laser_worlds import CorridorConfig, simulate_corridor
 
 LOOP = CorridorConfig(long_leg=9.0, short_leg=7.0, distance=20.0, start=3.0)

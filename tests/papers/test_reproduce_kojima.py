@@ -8,7 +8,7 @@ import pytest
 from mapweave.cli import _run
 from mapweave.core import se2
 from mapweave.core.errors import UsageError
-from mapweave.papers.kojima.experiments import honesty, merge_online, unequal
+from mapweave.papers.kojima.experiments import KojimaConfig, draw_worlds, honesty, merge_online, run_filters, unequal
 from mapweave.papers.kojima.measured import (
     EXACT,
     IdentityTrials,
@@ -22,7 +22,6 @@ from mapweave.papers.kojima.measured import (
     true_evidence,
 )
 from mapweave.papers.kojima.reproduce import CLAIMS, reproduce_kojima
-from mapweave.papers.kojima.world import KojimaConfig, draw_worlds, run_filters
 from mapweave.papers.reproduction import CLAIMS_HEAD
 
 

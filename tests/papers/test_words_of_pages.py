@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mapweave.papers.hara.experiments import AlongRow, AlphaCurve, Bounds, GateRow, methods
+from mapweave.papers.hara.experiments import AlongRow, AlphaCurve, Bounds, GateRow, LocalisedStart, methods
 from mapweave.papers.hara.reproduce import HaraReproduction
-from mapweave.papers.hara.starts import LocalisedStart
 
 FIGURES = Path(__file__).parent.parent.parent / "docs" / "figures"
 PLACES = {"the building": "here", "its twin": "twin", "another": "other"}

@@ -9,11 +9,10 @@ from mapweave.core import se2
 from mapweave.core.truth import Survey
 from mapweave.evaluation.team import as_json, score_team
 from mapweave.landmarks.landmark_map import LandmarkMap
-from mapweave.report import score as figures
+from mapweave.report import team_figures as figures
 from mapweave.report.html import Page
-from mapweave.report.score import headline_scores, nees_name
 from mapweave.report.team import measured
-from mapweave.report.team_figures import TeamStory
+from mapweave.report.team_figures import TeamStory, headline_scores, nees_name
 from mapweave.team.team_map import TeamMap
 
 

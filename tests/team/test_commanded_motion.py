@@ -5,8 +5,8 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.core.records import Odometry
-from mapweave.team.commanded_motion import MOTION_LOST_XY, MOTION_REST_XY, CommandedMotion, random_walk
 from mapweave.team.config import MotionNoise
+from mapweave.team.robot_part import MOTION_LOST_XY, MOTION_REST_XY, CommandedMotion, random_walk
 
 
 @pytest.fixture

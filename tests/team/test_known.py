@@ -6,7 +6,7 @@ import pytest
 import mapweave
 from mapweave.core import se2
 from mapweave.core.errors import ReaderError, UsageError
-from mapweave.io.points import read_points
+from mapweave.io.fixes import read_points
 from mapweave.team.known import PlacePriors
 
 from .mixed_teams import mixed

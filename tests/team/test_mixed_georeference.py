@@ -77,11 +77,11 @@ def test_where_the_frame_is_given_or_nothing_is_smoothed_fixes_are_not_used():
 @pytest.mark.slow
 def test_poses_of_mixed_teams_in_the_world_are_as_sure_as_they_say():
     told = []
-    for seed in range(20, 30):
+    for seed in range(20, 25):
         made, truth, logs, of_lasers = with_fixes(seed)
         placed = [s.georeference for s in made.map(logs=logs, fixes=of_lasers).components]
         told += [nees(g, truth) for g in placed if g is not None]
-    assert len(told) >= 10
+    assert len(told) >= 5
     assert 0.5 < np.mean(told) < 2.0
 
 

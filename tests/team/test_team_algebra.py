@@ -10,8 +10,7 @@ from mapweave.core.landmark_log import LandmarkLog, SightingTable
 from mapweave.core.records import Odometry, Track
 from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.solve import SolveStatus
-from mapweave.team import commanded_motion
-from mapweave.team.commanded_motion import MOTION_REST_THETA, MOTION_REST_XY, CommandedMotion, random_walk
+from mapweave.team import robot_part
 from mapweave.team.config import (
     CLUSTER,
     FEW_RAISED,
@@ -39,7 +38,15 @@ from mapweave.team.covariance import (
     team_covariance,
 )
 from mapweave.team.problem import HELD_TOGETHER, TeamProblem, _nodes, team_problem
-from mapweave.team.robot_part import PARAMETERS, Instants, instants_of
+from mapweave.team.robot_part import (
+    MOTION_REST_THETA,
+    MOTION_REST_XY,
+    PARAMETERS,
+    CommandedMotion,
+    Instants,
+    instants_of,
+    random_walk,
+)
 from mapweave.team.smooth import dense_track, is_observed, smooth
 from mapweave.team.team_map import TeamMap
 
@@ -308,7 +315,7 @@ def test_of_a_robot_that_saw_no_landmark_the_others_sightings_of_it_are_asked():
 def at_rest(monkeypatch, **kind):
     """Robots wander by nothing but what is given, at rest or without commands."""
     for name in ("REST_XY", "REST_THETA", "LOST_XY", "LOST_THETA"):
-        monkeypatch.setattr(commanded_motion, f"MOTION_{name}", kind.get(name.lower(), 0.0))
+        monkeypatch.setattr(robot_part, f"MOTION_{name}", kind.get(name.lower(), 0.0))
 
 
 def test_heading_that_wanders_moves_a_robot_aside_as_its_integral_does(monkeypatch):

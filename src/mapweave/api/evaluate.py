@@ -18,7 +18,7 @@ from ..core.paths import checked_arguments, is_path
 from ..core.records import Track
 from ..core.truth import NO_SURVEY, Relations, Survey
 from ..core.workers import one_blas_thread
-from ..evaluation.belonging import STILL
+from ..evaluation.consistency import STILL
 from ..evaluation.landmarks import exchanges_told
 from ..evaluation.swarm import StandingSwarm, SwarmScore, score_moving, score_standing
 from ..evaluation.team import LOOSE, RobotTruth, TeamScore, as_json, score_team
@@ -43,8 +43,8 @@ from ..io.table import read_table
 from ..io.team_map import read_metrics, read_single_maps, read_team_maps
 from ..io.tum import read_result_track, read_tum, read_tum_rows, track_from
 from ..report.result import ResultBase
-from ..report.score import draw_bars, draw_team_score, draw_tracks
 from ..report.style import Target
+from ..report.team_figures import draw_bars, draw_team_score, draw_tracks
 from .in_memory import Truths, result_folder, truth_files
 from .located import read_truth
 from .map_options import expect_there

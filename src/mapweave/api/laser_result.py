@@ -42,8 +42,8 @@ from ..mapping.woven_map import WovenMap, own_map, woven_maps
 from ..report.html import told_list
 from ..report.laser import robot_scene, write_laser_report
 from ..report.result import ResultBase, Rows
-from ..report.score import headline_scores
 from ..report.style import Target
+from ..report.team_figures import headline_scores
 from ..report.woven import component_scene, told_component, told_merge
 from .evaluate import Evaluation, judged
 

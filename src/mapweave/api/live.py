@@ -27,7 +27,7 @@ from ..live.credentials import expect_heard, make_team
 from ..live.driven import LaserRobot
 from ..live.inbox import Inbox
 from ..live.isolation import without_culprits
-from ..live.landmark_robot import LandmarkRobot
+from ..live.landmark_stream import LandmarkRobot
 from ..live.map_process import MapProcess
 from ..live.messages import Header, Topics, check_name
 from ..live.robot import Listeners, Pace, RobotProcess

@@ -19,11 +19,10 @@ from ..core.records import Event as ScanEvent
 from ..core.records import Scan, frozen
 from ..core.workers import one_blas_thread
 from ..io.laser_arrays import NOWHERE, LaserStream, Numbers
-from ..live.columns import square
 from ..live.credentials import expect_heard
 from ..live.driven import LaserRobot
 from ..live.laser_feed import ScanFeed, log_robot
-from ..live.messages import Header, Topics, check_name
+from ..live.messages import Header, Topics, check_name, square
 from ..live.robot import Driving, Pace, RobotProcess
 from ..live.store import Store, begun
 from ..live.tiles import LEVELS

@@ -291,7 +291,7 @@ def map(  # noqa: A001  (the verb)
             with result_directory(Path(out), force=force) as work:
                 result.write_into(work)
                 if mcap:
-                    from ..io.result_mcap import write_result_mcaps  # noqa: PLC0415  (only who asks for it waits for it)
+                    from ..io.mcap import write_result_mcaps  # noqa: PLC0415  (only who asks for it waits for it)
 
                     write_result_mcaps(work)
                 result.finish(work)

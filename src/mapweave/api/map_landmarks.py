@@ -21,9 +21,9 @@ from ..fusion.config import START_TOLERANCE, FuseConfig
 from ..fusion.join import fuse
 from ..fusion.online import OnlineFuser
 from ..fusion.result import Fusion, placed_by, tie_by_starts
+from ..io.fixes import read_points
 from ..io.kept import parts
 from ..io.landmark_logs import is_landmark_log, landmark_logs_of, read_landmark_logs
-from ..io.points import read_points
 from ..io.table import Columns
 from ..io.team_map import read_calibration
 from ..landmarks.agreement import AgreementConfig, sifted, with_wheels_checked

@@ -26,13 +26,12 @@ from ..fusion.compared_logs import with_copies_marked
 from ..fusion.join import fuse
 from ..fusion.result import Fusion
 from ..io.directory import write_json
-from ..io.fixes import write_georeferenced
+from ..io.fixes import read_points, write_georeferenced
 from ..io.kept import parts
 from ..io.laser_logs import read_laser
 from ..io.laser_map import NAME, write_grid, write_laser_map
 from ..io.local_map import write_local_map
 from ..io.mixed_logs import MixedLogs, is_mixed, read_mixed_landmarks, sorted_logs
-from ..io.points import read_points
 from ..io.ros_map import write_ros_map
 from ..io.team_map import told_gaps, write_calibration, write_landmark_arrays, write_landmarks, write_tracks
 from ..landmarks.agreement import sifted, with_wheels_checked
@@ -46,10 +45,10 @@ from ..live.joined import Apart, Joined, SightedAt, Tied
 from ..mapping.config import LaserConfig
 from ..mapping.laser_mapping import map_laser
 from ..report.html import told_list
-from ..report.mixed import MixedStory, mixed_scene, words, write_mixed_report
 from ..report.result import ResultBase, Rows
-from ..report.score import headline_scores
 from ..report.style import Target
+from ..report.team import MixedStory, mixed_scene, words, write_mixed_report
+from ..report.team_figures import headline_scores
 from ..team.clocks import on_camera_clock
 from ..team.config import ANOTHER_TIME
 from ..team.georeference import seen_from_first

@@ -16,8 +16,7 @@ from ..core.paths import checked_arguments
 from ..core.version import __version__
 from ..core.workers import one_blas_thread
 from ..io.directory import check_target, write_json
-from ..io.fixes import write_georeferenced
-from ..io.points import read_points
+from ..io.fixes import read_points, write_georeferenced
 from ..io.pyfg import read_pyfg, write_pyfg
 from ..io.range_bags import is_range_bag, read_range_bag
 from ..io.rawlog import is_rawlog_of_ranges, read_rawlog_ranges
@@ -29,9 +28,9 @@ from ..ranges.estimate import PlacedPart, RangeEstimate, estimate
 from ..ranges.network import RangeLog, RangeNetwork, StampShift, network_of, silences
 from ..report.html import told_list
 from ..report.result import ResultBase, Rows, written
-from ..report.score import headline_scores
 from ..report.small_pages import RangeStory, range_scene, write_range_report
 from ..report.style import Target
+from ..report.team_figures import headline_scores
 from ..team.georeference import laid_ranges
 from ..team.team_map import TeamMap, in_first_frame, way_loose
 from .evaluate import Evaluation, judged

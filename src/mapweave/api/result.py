@@ -15,7 +15,7 @@ from ..core.version import __version__
 from ..io.directory import MARKERS, no_result, plain, read_json, result_file, write_json
 from ..io.saved_result import read_result
 from ..report.result import ResultBase, Rows
-from ..report.score import add_score, write_score_report
+from ..report.team_figures import add_score, write_score_report
 
 if TYPE_CHECKING:
     from ..report.style import Axes, Figure

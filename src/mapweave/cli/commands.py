@@ -210,7 +210,7 @@ def _driven(robots: list[Any], asked: Asked) -> None:
 
 def _live_map(collect: Callable[..., Any], asked: Asked) -> Any:
     """The map process; with certificates, what Zenoh refuses before our code sees it is counted."""
-    from .live_door import LOG_LEVELS, watched
+    from .terminal import LOG_LEVELS, watched
 
     with ExitStack() as door:
         if asked["network"].tls is not None:
@@ -609,7 +609,7 @@ COMMANDS: dict[str, Command | dict[str, Command]] = {
         said=_diagnosis,
     ),
     "self-test": Command(
-        verb="api.self_test:self_test",
+        verb="api.demo:self_test",
         does="Check the installation by small jobs of every kind; exit status 1 where one comes out wrong.",
         example="self-test",
         extra={"json": Option(kind=bool, help="Print JSON.")},

@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Int
 from ..io.sightings import SwarmTruth
 from ..swarm.moving.result import RobotTrajectory
 from ..swarm.result import JointInformation
-from .belonging import MEASURED, STANDING, another_order_fits, beyond, by_chance, few_known, some, spread_of
+from .consistency import MEASURED, STANDING, another_order_fits, beyond, by_chance, few_known, some, spread_of
 
 SMALL = 40  # robots up to which all pairs and all triangles count
 Points = Float[np.ndarray, "n d"]

@@ -12,8 +12,7 @@ from ..core.records import Track
 from ..core.truth import Survey
 from ..landmarks.landmark_map import LandmarkMap
 from ..team.team_map import TeamMap
-from .belonging import STILL, another_order_fits, beyond, by_chance, some, spread_of
-from .consistency import mean_or_none
+from .consistency import STILL, another_order_fits, beyond, by_chance, mean_or_none, some, spread_of
 from .landmarks import Exchange, LandmarkScore, find_exchanges, naive_mean, rmse_after_alignment, score_landmarks
 from .trajectory import align_tracks, ate, paired, rpe
 

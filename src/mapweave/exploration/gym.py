@@ -21,7 +21,7 @@ from ..core.errors import UsageError
 from ..fusion.handover import pose_in_map
 from .landmarks.belief import Planner
 from .landmarks.config import ExploreConfig, find_scenario, make_field
-from .landmarks.steering import offered
+from .landmarks.objective import offered
 from .landmarks.team import Team
 from .planner_interface import find_planner
 

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.ndimage import distance_transform_edt
 
 from ..core.records import frozen
-from ..kernels.laser.likelihood_field import score_field
+from ..kernels.laser.scan_laying import score_field
 from .laser_map import GridMap
 
 MARGIN = 10  # cells round the map in which a beam still finds its nearest

@@ -16,7 +16,6 @@ from jaxtyping import Float
 
 from ..core.findings import finding_of, unused_of
 from ..io.assemble import CLOSEST, LARGEST, LATEST, WIDEST
-from .columns import square, stretch, unpack, unpack_triangle
 from .messages import LARGEST as LARGEST_MESSAGE
 from .messages import (
     LONGEST_NAME,
@@ -37,6 +36,10 @@ from .messages import (
     Status,
     Tile,
     is_name,
+    square,
+    stretch,
+    unpack,
+    unpack_triangle,
 )
 from .tiles import SIDE, is_tile
 

@@ -22,9 +22,8 @@ from ..mapping.config import LaserConfig
 from ..mapping.graph_slam import GraphState
 from ..mapping.keyframe_graph import KeyframeGraph
 from ..mapping.session import LaserSession
-from .columns import TRIANGLE
 from .laser_stream import LaserRecord
-from .messages import Header, Numbered, Snapshot
+from .messages import TRIANGLE, Header, Numbered, Snapshot
 
 NO_POINTS = np.zeros((0, 2))
 FOLLOWED_STEP = 0.15  # [m] of odometry from a scan that is followed to the next of the same scanner: half a keyframe's

@@ -11,9 +11,8 @@ from threading import Event
 from ..core.errors import DataError
 from ..core.names import robot_name
 from ..core.records import Scan
-from .columns import pack, unpack
 from .laser_stream import MOST_BYTES, beams_of
-from .messages import Closed, Header, Numbered, RefusedError, ScanBeams, Scans
+from .messages import Closed, Header, Numbered, RefusedError, ScanBeams, Scans, pack, unpack
 
 Row = tuple[float, float, float, float]  # t [s], x, y [m], theta [rad]
 Stamped = tuple[float, Scan]

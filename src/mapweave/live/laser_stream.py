@@ -10,9 +10,8 @@ from jaxtyping import Float
 from ..core.findings import finding_of, unused_of
 from ..core.laser_log import LaserLog
 from ..core.records import Scan, Track, frozen
-from .columns import pack, squeeze, stretch, unpack
 from .door import expect_span, expect_steps
-from .messages import LARGEST, Closed, Header, Numbered, RefusedError, ScanBeams, Scans
+from .messages import LARGEST, Closed, Header, Numbered, RefusedError, ScanBeams, Scans, pack, squeeze, stretch, unpack
 
 MOST_AT_ONCE = 200_000  # beams of the scans in one message; a packet of more is split
 MOST_BYTES = LARGEST // 2  # of the scans in one message; a packet of more is split

@@ -30,12 +30,11 @@ from .joined import Joined, into_one_frame
 from .laser_stream import LaserRecord
 from .messages import Header, Scans, encode
 from .pair_search import PairSearch, PairTrial
-from .placed import ALONE, Placed
 from .sources import OFFICE, messages, open_source
 from .store import Store
 from .tile_mapper import Standing, TileMapper, UnmappableError
 from .tiles import TileKey
-from .weaving import Weaving, WovenGraphs
+from .weaving import ALONE, Placed, Weaving, WovenGraphs
 
 FINE = 0.5  # [m] cells of one robot's walls, so that each is kept once
 COARSE = 1.0  # [m] cells of all robots' walls: what a start told and a map's bend are off

@@ -21,17 +21,30 @@ from ..core.landmark_log import LandmarkLog
 from ..core.names import robot_name
 from ..landmarks.config import EkfSlamConfig
 from ..mapping.config import LaserConfig
-from .columns import listed, square, triangle, unpack_triangle
 from .door import decode
 from .inbox import Inbox, Ledger
 from .isolation import beside, in_words, without_culprits
 from .joined import Apart, Joined
-from .landmark_robot import mapped_again
-from .landmark_stream import LandmarkRecord, rows_told
+from .landmark_stream import LandmarkRecord, mapped_again, rows_told
 from .laser_team import Starts, WovenTeam, nobody
 from .laser_weaver import LaserWeaver
-from .messages import LARGEST, LEVEL, MapState, Numbers, RefusedError, RobotState, Snapshot, Tile, Topics, count, encode
-from .placed import Placed
+from .messages import (
+    LARGEST,
+    LEVEL,
+    MapState,
+    Numbers,
+    RefusedError,
+    RobotState,
+    Snapshot,
+    Tile,
+    Topics,
+    count,
+    encode,
+    listed,
+    square,
+    triangle,
+    unpack_triangle,
+)
 from .shared_map import Fused, SharedMap, judged
 from .store import Store
 from .told import MOST_MAPS
@@ -50,6 +63,7 @@ from .transport import (
     put,
     there_is,
 )
+from .weaving import Placed
 
 if TYPE_CHECKING:
     from concurrent.futures import Future

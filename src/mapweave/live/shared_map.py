@@ -16,15 +16,14 @@ from ..fusion.online import MOST, OnlineFuser
 from ..fusion.result import Component
 from ..landmarks.landmark_map import LocalMap, Submap
 from ..team.relative_frame import UNMOVED
-from .columns import unpack, unpack_triangle
 from .inbox import Ledger
 from .isolation import in_words, without_culprits
 from .joined import Joined, SightedAt, into_one_frame
 from .landmark_stream import LandmarkRecord
 from .laser_team import WovenTeam
-from .messages import LandmarkState, Snapshot, Tile
-from .placed import ALONE, Placed
+from .messages import LandmarkState, Snapshot, Tile, unpack, unpack_triangle
 from .tiles import COARSER, TileKey
+from .weaving import ALONE, Placed
 
 LASER, LANDMARKS = "laser", "landmarks"
 Part = tuple[str, int]  # the kind of its robots, and its number among those of that kind

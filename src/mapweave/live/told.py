@@ -13,9 +13,8 @@ from jaxtyping import Float, UInt8
 from ..core.errors import DataError
 from ..core.records import frozen
 from ..laser.occupancy_mapper import FREE, OCCUPIED, UNKNOWN, Occupancy
-from .columns import square
 from .door import decode
-from .messages import EVERY, LEVEL, GoalMessage, MapState, RefusedError, Tile, Topics
+from .messages import EVERY, LEVEL, GoalMessage, MapState, RefusedError, Tile, Topics, square
 from .tiles import SIDE, UNSEEN
 from .transport import Callback, Sample, Session, ask
 

@@ -1,11 +1,15 @@
-"""The graph of all laser robots of a team, solved by what is decided on pairs, beside everything else."""
+"""The graph of all laser robots of a team, solved by what is decided on pairs, beside everything else.
+
+And where each robot's own frame stands in the shared map for it.
+"""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from ..core import se2
 from ..core.errors import EstimateError
@@ -15,9 +19,42 @@ from ..mapping.merge import Merge
 from ..mapping.merge_search import MergeConfig
 from ..mapping.weave import Woven, weave
 from .isolation import without_culprits
+from .messages import Correction, listed, triangle
 from .pair_search import UNTRIED
-from .placed import ALONE, Placed
 from .tile_mapper import Standing
+
+ALONE = (np.zeros(3), np.zeros((3, 3)), 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """Where a robot's own frame stands in the shared map: `T_map_local`, its covariance, the scale of its lengths.
+
+    own: whether the covariance a robot tells of its pose comes on top; a woven robot's frame has it in already, as it
+    counts where the robot is now.
+    """
+
+    component: int
+    frame: Float[np.ndarray, "3"]
+    frame_cov: Float[np.ndarray, "3 3"]
+    scale: float
+    own: bool = True
+
+    def carry(
+        self, pose: Float[np.ndarray, "3"], cov: Float[np.ndarray, "3 3"]
+    ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
+        """`T_map_robot` of a `T_local_robot`, and its covariance."""
+        shrink = np.diag([1 / self.scale, 1 / self.scale, 1.0])
+        small = shrink @ pose
+        P = se2.composed_covariance(self.frame, self.frame_cov, small, shrink @ (cov * self.own) @ shrink)
+        return se2.compose(self.frame, small), 0.5 * (P + P.T)
+
+    def correction(self, name: str, robot: str) -> Correction:
+        """What map process `name` tells `robot`."""
+        return Correction(
+            map=name, robot=robot, pose=listed(self.frame), cov=triangle(self.frame_cov), scale=self.scale
+        )
+
 
 UNTOUCHED = JointPassConfig(widths=())  # keyframes stay as the joint graph has them: the last pass is left to the end
 MOST_TOLD = 60  # pairs of robots

@@ -25,8 +25,8 @@ from .laser_figures import (
     median_deviation,
 )
 from .scene import Scene
-from .score import add_growth
 from .style import colour
+from .team_figures import add_growth
 from .woven import not_in_first, robot_colour, write_maps, write_pairs
 
 MOST_NAMED = 4  # logs in the title

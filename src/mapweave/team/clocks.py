@@ -27,12 +27,12 @@ from ..core.records import Odometry
 from ..core.rows import spread
 from ..landmarks.ekf_slam import is_landmark
 from ..solve import Solution
-from .commanded_motion import CommandedMotion
 from .config import MOTION_NOISE_HOLD, CalibrationPrior, PlacingConfig, sharpened
 from .covariance import Groups, scores
 from .problem import Origin, TeamProblem
 from .relation import costs
 from .relative_frame import CLOCK_FINE, CLOCK_FINE_STEP, CLOCK_SIGHTINGS, CLOCK_TOGETHER, Body, Labels, mutual_sightings
+from .robot_part import CommandedMotion
 from .team_map import TeamMap
 
 CAMERA_CLOCK_REACH = 5.0  # [s] looked for either way,

@@ -14,9 +14,8 @@ from ..core import se2
 from ..laser.pose_graph import PoseGraph, edge_factor
 from ..laser.robot_graph import RobotGraph
 from ..solve import Cauchy, Factor
-from .commanded_motion import Motion, random_walk
 from .config import MOTION_NOISE_OUTLIER, UNKNOWN_MEMORY, CameraNoise, SmoothingConfig
-from .robot_part import BIAS, LAG, RANGE, SPEED, TURN, RobotPart
+from .robot_part import BIAS, LAG, RANGE, SPEED, TURN, Motion, RobotPart, random_walk
 
 CAMERA_NOISE_OUTLIER = 1.0  # standard deviations from which a sighting counts less: errors of ranges are skewed
 

@@ -18,10 +18,10 @@ from ..core.names import in_order
 from ..core.records import Track
 from ..fusion.result import Fusion
 from ..landmarks.landmark_map import LandmarkMap, LocalMap
-from .commanded_motion import CommandedMotion
 from .config import MOTION_NOISE_HOLD, PlacingConfig, SmoothingConfig
 from .relation import PLACING_INLIER, SURE_THETA, residuals
 from .relative_frame import Body, Labels, Windows, carried_by_wheels, mutual_sightings, placed_alone, placed_windows
+from .robot_part import CommandedMotion
 from .team_map import TeamMap
 
 KIDNAP_LANDMARKS = 4  # of a map against which a robot is placed

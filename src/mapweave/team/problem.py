@@ -18,7 +18,6 @@ from ..core.records import Track
 from ..landmarks.landmark_map import LandmarkMap
 from ..laser.robot_graph import RobotGraph
 from ..solve import Cauchy, Factor, Pattern, Problem, Solution, SolveConfig, minimise, wrapping
-from .commanded_motion import CommandedMotion
 from .config import LONGEST_STEP, MOTION_NOISE_HOLD, MOTION_NOISE_OUTLIER, CalibrationPrior, SmoothingConfig
 from .factors import InterRobotEdge, inter_robot_factor, scan_factor, sighting_factors, step_factor
 from .known import PlacePriors
@@ -28,6 +27,7 @@ from .robot_part import (
     RANGE,
     SPEED,
     TURN,
+    CommandedMotion,
     Instants,
     RobotPart,
     count_instants,

@@ -15,7 +15,6 @@ from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.names import in_order
 from ..core.records import Track
 from ..laser.scan_odometry import blended
-from .commanded_motion import CommandedMotion
 from .config import MOTION_NOISE_HOLD, PlacingConfig, SmoothingConfig, sharpened
 from .relation import (
     PLACING_INLIER,
@@ -27,7 +26,7 @@ from .relation import (
     relate,
     residuals,
 )
-from .robot_part import all_seen
+from .robot_part import CommandedMotion, all_seen
 
 TIE_MOMENT = 5.0  # [s] for which what is seen of one robot tells one place of it
 WINDOW_REACH = 0.7  # of such a window, either way of its middle, in which the robot is where it says

@@ -22,7 +22,6 @@ from ..laser.scan_odometry import blended
 from ..mapping.woven_map import Georeference
 from ..solve import Pattern, SingularError, Solution, SolveStatus
 from .clocks import RobotClock, clocks_of
-from .commanded_motion import LAG, TURN
 from .config import (
     CLOCK_GAIN,
     CLOCK_LEAST,
@@ -44,7 +43,7 @@ from .covariance import TeamCovariance, team_covariance
 from .factors import InterRobotEdge
 from .known import PlacePriors
 from .problem import TeamProblem, most_poses, seen_when, team_problem, with_fewer_poses
-from .robot_part import PARAMETERS, RobotPart
+from .robot_part import LAG, PARAMETERS, TURN, RobotPart
 from .team_map import TeamMap, way_loose
 
 # times the errors of ranges, in a team with a laser: they last, and would bend paths known better

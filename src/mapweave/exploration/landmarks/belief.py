@@ -1,15 +1,22 @@
 """What a planner knows of a landmark world, and the planners by name: `choose(maps, poses, cfg) -> commands`.
 
-Which cells of a rectangle a team has seen, by whom, and whether that knowledge is safe in the global map.
+Which cells of a rectangle a team has seen, by whom, and whether that knowledge is safe in the global map. Robots that
+plan together know one map, what was seen, and what those beyond the radio's range last heard: submaps are independent
+of each other and of every map, so that is a set of submaps; two that meet have the union of theirs, and a map made of
+it counts nothing twice, however often they parted and met.
 """
 
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ...core import se2
+from ...fusion.handover import Handover, PairingConfig, hand_over, without_frames
 from ...kernels.walls.segments import Raster
 from ...landmarks.landmark_map import GlobalMap, Submap
 from ..planner_interface import TeamBelief
@@ -142,3 +149,157 @@ class LandmarkBelief(TeamBelief):
 
 
 Planner = Callable[[LandmarkBelief, Float[np.ndarray, "r 3"], ExploreConfig], Float[np.ndarray, "r 2"]]
+
+
+@dataclass(slots=True)
+class Carried:
+    """A robot that was carried away at `step`; back: the step when it was found in the map, None where it was not."""
+
+    robot: str
+    step: int
+    back: int | None = None
+
+
+class Handed(NamedTuple):
+    """A submap as it was handed over; origin: landmark in it -> sightings of true landmarks; seen: those."""
+
+    submap: Submap
+    origin: dict[str, Counter[int]]
+    seen: frozenset[int]
+
+
+@dataclass(slots=True)
+class MapTruth:
+    """Which landmarks are in a map, and of which true landmark how many sightings of each of its estimates were.
+
+    An estimate is of the landmark that most of its sightings were of: where two landmarks close together were exchanged
+    after a first sighting, it comes to lie on the other one.
+    """
+
+    safe: set[int] = field(default_factory=set)
+    sightings: dict[str, Counter[int]] = field(default_factory=dict)
+    misassociations: int = 0
+
+    @property
+    def source(self) -> dict[str, int]:
+        """Global landmark -> true landmark."""
+        return {name: _mostly(sightings) for name, sightings in self.sightings.items()}
+
+    def hand_over(self, origin: dict[str, Counter[int]], ids: tuple[str, ...], done: Handover) -> None:
+        """What a submap's landmarks `ids` were of is told of the map's; matches that are wrong are counted.
+
+        origin: submap landmark -> sightings. Wrong: a sighting of another landmark than most of its estimate's, and two
+        estimates made one that were not.
+        """
+        for local, name in zip(ids, done.names, strict=True):
+            sightings = origin.get(local)
+            if not sightings:
+                continue
+            self.misassociations += sightings.total() - max(sightings.values())
+            if name is not None:
+                self._join(name, sightings)
+        self._merge(done.merged)
+
+    def meet(self, other: "MapTruth", renamed: dict[str, str], merged: tuple[tuple[str, str], ...]) -> None:
+        """The other map, whose landmarks are called as `renamed` says, is part of this one; `merged`: kept, gone."""
+        self.safe |= other.safe
+        self.misassociations += other.misassociations
+        for name, sightings in other.sightings.items():
+            self._join(renamed[name], sightings)
+        self._merge(merged)
+
+    def _merge(self, merged: tuple[tuple[str, str], ...]) -> None:
+        for kept, gone in merged:
+            if gone in self.sightings:
+                self._join(kept, self.sightings.pop(gone))
+
+    def _join(self, name: str, sightings: Counter[int]) -> None:
+        known = self.sightings.setdefault(name, Counter())
+        self.misassociations += bool(known) and _mostly(known) != _mostly(sightings)
+        known.update(sightings)
+
+
+@dataclass(slots=True, eq=False)
+class LandmarkCrew:
+    """Robots that have one map and plan together.
+
+    robots: those whose frames that map, G, holds, in its order; present: which of them have it, the others being beyond
+    the radio's range or dead; lower, upper: (2,) corners [m] in G of the field as they know it; handed: the submaps
+    that G was made of, where a radio of limited range makes that worth keeping; memory: their planner's; truth: whose
+    landmarks those of G are; waited: steps at the rendezvous; complete: the step when all robots last had this map.
+    """
+
+    robots: Int[np.ndarray, " k"]
+    lower: Float[np.ndarray, "2"]
+    upper: Float[np.ndarray, "2"]
+    start: GlobalMap
+    explored: Explored
+    present: Bool[np.ndarray, " k"]
+    G: GlobalMap = field(init=False)
+    handed: dict[tuple[int, int], Handed] = field(default_factory=dict)
+    memory: dict[str, Any] = field(default_factory=dict)
+    truth: MapTruth = field(default_factory=MapTruth)
+    waited: int = 0
+    complete: int = 0
+
+    def __post_init__(self) -> None:
+        self.G = self.start
+
+    @property
+    def members(self) -> Int[np.ndarray, " m"]:
+        """The robots that have this map."""
+        return np.asarray(self.robots[self.present])
+
+    def at(self, j: int) -> int:
+        """Which of the crew's robots robot j is."""
+        return int(np.flatnonzero(self.robots == j)[0])
+
+    def leave(self, gone: list[int]) -> None:
+        """Robots that have another map now are none of this one's any more; what they saw for it stays."""
+        keep = ~np.isin(self.robots, gone)
+        self.G = without_frames(self.G, [k for k, kept in enumerate(keep) if not kept])
+        ex = self.explored
+        ex.fused |= ex.pending[~keep].any(axis=0)
+        ex.pending, ex.backlog = ex.pending[keep], ex.backlog[keep]
+        self.robots, self.present = self.robots[keep], self.present[keep]
+
+    def hand_over(self, step: int, j: int, handed: Handed, pairing: PairingConfig | None, *, keep: bool) -> None:
+        """Robot j's submap joins the map. pairing: None where identities are known; keep: for meetings to come."""
+        if keep:
+            self.handed[step, j] = handed
+        cfg = pairing or PairingConfig()
+        done = hand_over(self.G, handed.submap, known=pairing is None, prefix="m", cfg=cfg)
+        self.truth.hand_over(handed.origin, handed.submap.ids, done)
+        self.truth.safe |= handed.seen
+        self.G = done.map
+
+
+def parted(crew: LandmarkCrew, present: Bool[np.ndarray, " k"]) -> LandmarkCrew:
+    """What those `present` of a crew take with them: all it knows, and the plan it made."""
+    out = LandmarkCrew(crew.robots, crew.lower, crew.upper, crew.start, deepcopy(crew.explored), present)
+    out.G, out.handed, out.truth = crew.G, dict(crew.handed), deepcopy(crew.truth)
+    out.memory, out.complete = deepcopy(crew.memory), crew.complete
+    return out
+
+
+def united(
+    crews: Sequence[LandmarkCrew], present: Bool[np.ndarray, " k"], pairing: PairingConfig | None
+) -> LandmarkCrew:
+    """What those `present`, of several crews, know together; the planner begins anew."""
+    first = max(crews, key=lambda crew: len(crew.handed))
+    out = parted(first, present)
+    out.memory, out.complete = {}, max(crew.complete for crew in crews)
+    for crew in crews:
+        out.explored.add(crew.explored)
+    if all(key in out.handed for crew in crews for key in crew.handed):
+        return out
+    together = {key: handed for crew in crews for key, handed in crew.handed.items()}
+    out.G, out.truth, out.handed = first.start, MapTruth(), {}
+    for step, j in sorted(together):
+        out.hand_over(step, j, together[step, j], pairing, keep=True)
+    return out
+
+
+def _mostly(sightings: Counter[int]) -> int:
+    """The landmark that most sightings were of, of several the one seen first."""
+    return max(sightings, key=sightings.__getitem__)

@@ -17,7 +17,7 @@ from .belief import Explored, LandmarkBelief
 from .config import STEERING_HEADING_COST, ExploreConfig
 from .floor_plan import FloorPlan
 from .laps import begin, drive, find_laps, follow, improve_tours, lap_steps, lap_task, mark_sure, revise
-from .steering import ahead, given_up, nearest_unexplored, new_cells, next_target, offered, steer
+from .objective import ahead, given_up, nearest_unexplored, new_cells, next_target, offered, steer
 
 # [m] of a disc of `coverage`: two thirds of the reach, so that passing its middle shows all of it
 COVERAGE_RADIUS = 10.0

@@ -14,8 +14,8 @@ from ...landmarks.submap_slam import SubmapConfig
 from ...sim.landmarks import Field
 from ..mission import ExplorationResult, Mission, RunScore, run_seeds
 from ..planner_interface import find_planner, is_built_in
+from .belief import Carried
 from .config import ExploreConfig, ScenarioConfig, make_field
-from .crew import Carried
 from .floor_plan import FloorPlan
 from .team import LandmarkMeeting, StepRecord, Team
 

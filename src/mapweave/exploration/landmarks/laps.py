@@ -24,7 +24,7 @@ from ...kernels.walls.segments import Raster, Sector
 from ...landmarks.submap_slam import SubmapConfig
 from .belief import LandmarkBelief
 from .config import STEERING_HEADING_COST, CoverageConfig, ExploreConfig, JointConfig, LapSearchConfig
-from .steering import steer
+from .objective import steer
 
 COVERAGE_LOOKS = 4  # for each pose of a lap of `coverage`: every third step of it,
 COVERAGE_SIGHT_MARGIN = 0.7  # [m] and landmarks are not counted on at the end of the reach

@@ -26,11 +26,10 @@ from ...landmarks.landmark_map import GlobalMap, Submap, known_starts
 from ...landmarks.submap_slam import Observations, empty, in_view, move, predict, predicted_observation, update
 from ...sim.landmarks import Field
 from ..planner_interface import query_planner
-from .belief import Explored, LandmarkBelief, Planner
+from .belief import Carried, Explored, Handed, LandmarkBelief, LandmarkCrew, Planner, parted, united
 from .config import ExploreConfig
-from .crew import Carried, Handed, LandmarkCrew, parted, united
 from .floor_plan import FloorPlan, survey_floor
-from .steering import is_lost, steer
+from .objective import is_lost, steer
 
 MEETING = IdentityConfig(scale_sigma=1e-3)  # two maps of one camera's ranges have one scale, but for rounding
 MEETING_ODDS = np.log(1000.0)  # against chance: a wrong meeting is what spoils all that comes after

@@ -64,7 +64,7 @@ def drive_laps(
     """Poses (M, steps + 1, 3) of robots that steer through their places in turn, without noise, and then stand still.
 
     ways: (M, k, 2) [m], counts: (M,) places used of each; starts: (M, 3). The rules are those of
-    `landmarks.steering.steer`.
+    `landmarks.objective.steer`.
     """
     controls, period, arrived, heading_cost = rules.controls, rules.period, rules.arrived, rules.heading_cost
     lower, upper = rules.lower, rules.upper

@@ -21,20 +21,24 @@ from ...sim.laser_worlds import CorridorConfig
 from ..reproduction import Check, Claim, Drawing, Numbers, Reproduction, Section, question, rule, sentences
 from .experiments import (
     HARD,
+    SCANS,
     AlongRow,
     AlphaCurve,
     Bounds,
     GateRow,
+    LocalisedStart,
     Method,
     Picture,
     alpha_curve,
     compare,
+    counts,
     methods,
+    starts_table,
     try_along,
     try_bounds,
     try_gate,
+    try_starts,
 )
-from .starts import SCANS, LocalisedStart, counts, starts_table, try_starts
 
 LOOP = "papers/test_reproduce_hara.py"
 STATEMENTS = "papers/test_hara_statements.py"
@@ -113,7 +117,7 @@ CLAIMS = (
     ),
     Claim(
         "Future work: localisation with intensity in a finished map",
-        "papers/hara/starts.py",
+        "papers/hara/experiments.py",
         f"{LOOP}::test_no_trusted_start_is_wrong_and_light_tells_what_walls_cannot",
         "not tried",
         "localised",

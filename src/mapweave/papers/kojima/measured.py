@@ -16,8 +16,7 @@ from ...landmarks.landmark_map import LandmarkMap
 from ...report.result import Rows
 from ...report.style import MUTED, TRUTH, Target, as_map, colour, draw_ellipse, figure, marker
 from ..reproduction import Numbers
-from .experiments import Rule, Run, Settling, Unequal
-from .world import SEEN, KojimaConfig, LocalMaps, Worlds
+from .experiments import SEEN, KojimaConfig, LocalMaps, Rule, Run, Settling, Unequal, Worlds
 
 if TYPE_CHECKING:
     from ...report.style import Axes

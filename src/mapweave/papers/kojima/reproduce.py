@@ -17,7 +17,7 @@ from ...io.kept import kept_parts, part
 from ...report.result import written
 from ...report.style import Target
 from ..reproduction import Check, Claim, Drawing, Reproduction, Rule, Section, question, rule, sentences
-from .experiments import honesty, merge_online, settling, unequal
+from .experiments import KOJIMA_RADIUS, KojimaConfig, draw_worlds, honesty, merge_online, settling, unequal
 from .measured import (
     CASES,
     NAMES,
@@ -35,7 +35,6 @@ from .measured import (
     oracle,
     price_text,
 )
-from .world import KOJIMA_RADIUS, KojimaConfig, draw_worlds
 
 THEOREMS = "papers/test_relative_theorems.py"
 EXPERIMENT = "papers/test_reproduce_kojima.py"
@@ -51,7 +50,7 @@ def _lower(name: str) -> Rule:
 CLAIMS = (
     Claim(
         "Each robot maps its landmarks by EKF-SLAM (Figs. 4, 5)",
-        "papers/kojima/world.py",
+        "papers/kojima/experiments.py",
         "papers/test_kojima_world.py::test_local_maps_are_consistent_when_the_filter_is_told_the_truth_about_its_noise",
         "drawn",
         "local",

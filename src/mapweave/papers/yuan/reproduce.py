@@ -64,9 +64,9 @@ def _accuracy(o: Outcome) -> list[float]:
 
 
 WHOLE = "exploration/test_exploration.py"
-FIGURES = f"{WHOLE}::test_the_papers_planner_finishes_every_run_within_its_figures"
 WRITTEN = "papers/test_reproduce_yuan.py"
 JUDGED = "papers/test_yuan_claims.py"
+FIGURES = f"{JUDGED}::test_the_papers_planner_finishes_every_run_within_its_figures"
 FUSION = "exploration/test_submap_fusion.py"
 
 
@@ -176,7 +176,7 @@ CLAIMS = (
     ),
     Claim(
         "Without the escape to a frontier robots get caught",
-        "exploration/landmarks/steering.py",
+        "exploration/landmarks/objective.py",
         f"{WHOLE}::test_without_the_escape_no_run_ends",
         "not told",
         "escape",
