@@ -12,9 +12,10 @@ from mapweave.core.findings import Finding, verdict
 from mapweave.core.records import Track
 from mapweave.io.pyfg import write_pyfg
 from mapweave.ranges import network as range_log
-from mapweave.ranges.estimate import RangeEstimate, _mirrored, _Noise, _of_layout, _unlikely, estimate
+from mapweave.ranges.estimate import RangeEstimate, _mirrored, _of_layout, estimate
 from mapweave.ranges.factors import RadioColumns, lasting, motion_factor, range_factor
 from mapweave.ranges.network import Motions, RangeLog, RangeNetwork, Ranges, bodies_of, network_of
+from mapweave.ranges.noise import RadioNoise, unlikely
 from mapweave.ranges.start import lay_out, placements
 
 from ..differences import assert_derivative
@@ -303,7 +304,7 @@ def test_the_noise_of_a_radio_is_neither_more_nor_less_than_its_ranges_scatter(n
     nobody = np.zeros(n * pairs, np.int64)
     t = np.tile(np.arange(float(n)), pairs)
     ranges = Ranges.of_points(nobody, nobody, t, error, np.full(n * pairs, np.nan))
-    told = _Noise.of(ranges, which, pairs, error)
+    told = RadioNoise.of(ranges, which, pairs, error)
     assert np.sqrt(np.mean(np.square(told.sd))) == pytest.approx(0.05, rel=0.03)
     assert (told.far == (error > 0.4)).mean() > 0.99
 
@@ -361,6 +362,6 @@ def test_a_pairs_ranges_are_as_likely_as_a_chain_whose_errors_last_so_long():
     far = np.zeros(n, bool)
     which, long = np.zeros(n, int), np.array([(1.0 + rho) / (1.0 - rho)])
     each = np.full(n, sd)
-    told = _unlikely(_Noise(e, far, np.array([sd]), long, each), r, which)
+    told = unlikely(RadioNoise(e, far, np.array([sd]), long, each), r, which)
     assert told == pytest.approx(chain, abs=0.05 * n)
-    assert _unlikely(_Noise(e, far, np.array([sd]), np.ones(1), each), r, which) > told + n
+    assert unlikely(RadioNoise(e, far, np.array([sd]), np.ones(1), each), r, which) > told + n

@@ -48,7 +48,7 @@ WORSE = 2.0  # times what ranges say of their noise, from which it is told
 MOSTLY = 0.5  # share of ranges rejected from which nothing is believed
 LATE, LATE_ROUNDS = 0.25, 3  # [s] by which stamps are moved at once, at most, and how often
 TOLD_LATE, TOLD_GROWTH, TOLD_SLIP = 0.05, 0.1, 3.0  # [s], [m], times from which it is told, where it is sure
-SURE = 4.0  # sd
+TOLD_SURE = 4.0  # sd
 CARRIED = 2  # times that ranges deny a robot's odometry, beyond which it is no odometry of that robot
 TOLD_SHARE = 0.02  # of all ranges rejected, from which it is told
 
@@ -365,14 +365,14 @@ def _made_up_for(found: RangeEstimate) -> list[Finding]:
     """What was found to be off in stamps, biases and odometry, and is reckoned with."""
     out = []
     for robot, (told, sd) in found.clocks.items():
-        if abs(told.lag) > max(TOLD_LATE, SURE * sd.lag):
+        if abs(told.lag) > max(TOLD_LATE, TOLD_SURE * sd.lag):
             way = "after" if told.lag > 0 else "before"
             out.append(Finding("range-lag", robot, value={"value": abs(told.lag), "way": way}))
-        if abs(told.drift) > max(TOLD_LATE, SURE * sd.drift):
+        if abs(told.drift) > max(TOLD_LATE, TOLD_SURE * sd.drift):
             out.append(Finding("range-clock", robot, value=told.drift))
     if found.jitter > TOLD_LATE:
         out.append(Finding("range-stamps", value=found.jitter))
-    growing = [r for r in found.radios if abs(r.growth) > max(TOLD_GROWTH, SURE * r.growth_sd)]
+    growing = [r for r in found.radios if abs(r.growth) > max(TOLD_GROWTH, TOLD_SURE * r.growth_sd)]
     if growing:
         most = max(growing, key=lambda r: abs(r.growth))
         told_of: dict[str, float | str] = {"value": most.growth, "pair": f"{robot_key(most.a)} and {robot_key(most.b)}"}

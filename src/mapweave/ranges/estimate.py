@@ -1,15 +1,15 @@
 """Everybody's trajectory from ranges and odometry: laid out from no guess, then one robust problem.
 
 Every pair of radios has a bias and a noise of its own, estimated from its residuals; a noise that the log states is the
-least it has. Ranges past a wall or a person are
-too long by metres: they fade by a redescending kernel, and are counted. Errors of ranges last (they follow how antennas
-face each other), so that a range counts by as much less as they last longer than a range.
+least it has. Ranges past a wall or a person are too long by metres: they fade by a redescending kernel, and are
+counted. Errors of ranges last (they follow how antennas face each other), so that a range counts by as much less as
+they last longer than a range.
 
 A robot that was carried, whose wheels slipped or whose odometry began anew is cut where ranges say so, when that
 explains them better: what came before and after are two bodies.
 
 Stamps of ranges may be of another clock than those of odometry, and rounded; biases may grow; odometry may slip or be
-of another scale for a while: all that is found with the rest (`factors.RadioColumns`, `_Noise`, `loosened`).
+of another scale for a while: all that is found with the rest (`factors.RadioColumns`, `noise`).
 
 Position fixes are one more factor of the same problem, which then lies in their world.
 """
@@ -37,13 +37,11 @@ from ..solve import (
     wrapping,
 )
 from .factors import (
-    PRUNED,
     RadioColumns,
     closing,
     columns_of,
     common_factor,
     geometry,
-    lasting,
     motion_factor,
     number_factor,
     prior_factor,
@@ -51,26 +49,17 @@ from .factors import (
 )
 from .fixes import FAR2, Laid, Sights, lay_among
 from .network import Bodies, Motions, Priors, RangeNetwork, Ranges, StampShift, bodies_of
+from .noise import SHRUNK, RadioNoise, loosened, spread_of, unlikely, windows_of
 from .start import LEAD, LEAST, ROUGH, BodyLayout, lay_out, placements
 
 FIRST_SD = 0.15  # [m] noise of a range before residuals tell it
-LEAST_SD = 0.01  # [m] noise of a range, whatever its residuals say: radios count in centimetres
-SHRUNK = 0.02  # [m] sd of biases over all pairs, at least: a smaller one would hold them where they began
 BIAS_SD = 0.3  # [m] of what the biases of all pairs have in common: antennas whose delay nobody trimmed
 SPREAD = 0.15  # [m] of the biases beside what they have in common, before they tell it
 FEW = 3  # pairs that tell it, at least
 GROWTH, GROWS_APART = 0.1, 0.02  # [m] sd by which biases grow over a log, all alike and beside, before ranges tell it
 LAG = 0.05  # [s] sd by which stamps of ranges are later than a robot's odometry, and of its growth, before they do
-SURE = 3.0  # sd from which ranges are told to scatter more the faster their ends part: their stamps do
-WINDOW = 10.0  # [s] over which odometry may err more than it is taken to
-WINDOW_DOF = 6.0  # that count beside a window's own, as if these erred as they are taken to
-PROBES = 30  # random vectors that tell how many of a window's motions ranges check [Hutchinson, 1990]
 SETTLED, MORE = 1.25, 8  # times its factor changes at which that goes on, so often at most
 ANY_HEADING = 2.0  # [rad] sd of a heading that nothing tells
-TO_SD = 1.4826  # times half the width of its densest half is the sd of a Gaussian
-ANYTHING = 3.0  # [m] by up to which one that went another way is too long
-FAR = 3.0  # [sd] from which a range is taken for one that went another way
-WITHIN_FAR = 1.0136  # times what scatters within it is the sd of a Gaussian
 WIDE = Cauchy(2.0)  # while the noise is still a guess
 TIGHT = GemanMcClure(3.0)
 # Noise and biases are estimated and all is solved again, with these kernels; at the end without those that are far.
@@ -368,72 +357,6 @@ def _largest_first(net: RangeNetwork) -> Callable[[PlacedPart], tuple[int, int]]
 
 
 @dataclass(frozen=True, slots=True)
-class _Noise:
-    """What residuals tell: of each pair the noise [m] and for how many ranges an error lasts; which ranges are far;
-    each: (k,) [m] noise of each, with that of its stamp, `jitter` [s].
-    """
-
-    residual: Float[np.ndarray, " k"]
-    far: Bool[np.ndarray, " k"]
-    sd: Float[np.ndarray, " p"]
-    lasting: Float[np.ndarray, " p"]
-    each: Float[np.ndarray, " k"]
-    jitter: float = 0.0
-
-    @classmethod
-    def of(
-        cls,
-        r: Ranges,
-        which: Int[np.ndarray, " k"],
-        pairs: int,
-        residual: Float[np.ndarray, " k"],
-        speed: Float[np.ndarray, " k"] | None = None,
-    ) -> "_Noise":
-        """What `residual` tells; speed: (k,) [m/s] by which distances grow."""
-        far, sd, long = np.zeros(len(residual), bool), np.empty(pairs), np.empty(pairs)
-        for k in range(pairs):
-            mine = np.flatnonzero(which == k)
-            e = residual[mine]
-            kept = np.ones(len(e), bool)
-            for _ in range(PRUNED):
-                middle, half = _densest_half(e[kept])
-                sd[k] = max(LEAST_SD, TO_SD * half)
-                kept = np.abs(e - middle) <= FAR * sd[k]
-                kept = np.abs(e - np.median(e[kept])) <= FAR * sd[k]
-            far[mine] = ~kept
-            sd[k] = max(LEAST_SD, WITHIN_FAR * float(e[kept].std()))
-            good = mine[~far[mine]]
-            long[k] = lasting(residual[good[np.argsort(r.t[good], kind="stable")]])
-        fast = np.zeros(len(residual)) if speed is None else np.square(speed)
-        jitter = _jitter(np.where(far, np.nan, np.square(residual)), fast, which, sd)
-        mean = np.bincount(which, np.where(far, 0.0, fast), pairs) / np.maximum(np.bincount(which, ~far, pairs), 1)
-        sd = np.sqrt(np.maximum(LEAST_SD**2, sd**2 - jitter**2 * mean))
-        return cls(residual, far, sd, long, np.sqrt(sd[which] ** 2 + jitter**2 * fast), jitter)
-
-
-def _jitter(
-    e2: Float[np.ndarray, " k"],
-    fast: Float[np.ndarray, " k"],
-    which: Int[np.ndarray, " k"],
-    sd: Float[np.ndarray, " p"],
-) -> float:
-    """[s] by which stamps scatter: squares of errors that grow with those of the speeds at which ends part, if so.
-
-    e2: NaN of those that do not count. Each pair has a noise of its own beside, about `sd`, and counts by it.
-    """
-    used = np.isfinite(e2)
-    n = np.maximum(np.bincount(which[used], minlength=len(sd)), 1)
-    mean = [np.bincount(which[used], v[used], len(sd)) / n for v in (e2, fast)]
-    y, x = ((v - m[which])[used] / np.square(sd[which[used]]) for v, m in zip((e2, fast), mean, strict=True))
-    power = float(x @ x)
-    if power <= 0.0:
-        return 0.0
-    slope = float(x @ y) / power
-    slope_sd = float(np.sqrt(np.square(x * (y - slope * x)).sum())) / power
-    return float(np.sqrt(slope)) if slope > SURE * slope_sd else 0.0
-
-
-@dataclass(frozen=True, slots=True)
 class _Solved:
     """One layout, worked out. nodes, rows: of the network; names: (p, 2) the pairs, which: (k,) each range's;
 
@@ -452,7 +375,7 @@ class _Solved:
     unturned: Bool[np.ndarray, " n"]
     pose: Float[np.ndarray, "n 3"]
     unknown: Float[np.ndarray, "2 u"]
-    noise: _Noise
+    noise: RadioNoise
     loose: Float[np.ndarray, " m"]
     solution: Solution
     laid: Laid | None
@@ -604,7 +527,7 @@ def _solved(
     place, rows, r, names, which = _among(net, nodes)
     m = net.motions
     here = np.flatnonzero(place[m.first] >= 0)
-    moved, window = Motions(place[m.first[here]], place[m.second[here]], m.z[here], m.cov[here]), _windows(net, here)
+    moved, window = Motions(place[m.first[here]], place[m.second[here]], m.z[here], m.cov[here]), windows_of(net, here)
     owner, beacon, of = net.owner[nodes], net.is_beacon[nodes], bodies.of[nodes]
     n, entry = len(nodes), _Entries(len(nodes), len(names), len(net.everybody))
     radio = entry.of_ranges(which, owner[r.a], owner[r.b])
@@ -641,11 +564,11 @@ def _solved(
         x, pose = solution.x, solution.x[: 3 * n].reshape(-1, 3)
         P = None if solution.information is None else solution.covariance(np.arange(3 * n, len(x)))
         if P is not None and entry.pairs >= FEW:
-            spread = _spread_of(x[entry.biases] - x[entry.common], P[: entry.pairs + 1, : entry.pairs + 1])
+            spread = spread_of(x[entry.biases] - x[entry.common], P[: entry.pairs + 1, : entry.pairs + 1])
         then, off = radio.known(x, r)
-        noise = _Noise.of(r, which, entry.pairs, r.z - geometry(then, pose)[0] - off, np.add(*closing(then, pose)))
+        noise = RadioNoise.of(r, which, entry.pairs, r.z - geometry(then, pose)[0] - off, np.add(*closing(then, pose)))
         if steps and P is not None and known is not None and sights is None:
-            loose = loosened(steps[0], solution, was, window)
+            loose = loosened(steps[0], solution, was, window, owner[moved.first])
             if k + 1 == len(rounds) < len(ROUNDS) + MORE and np.abs(np.log(loose / was)).max() > np.log(SETTLED):
                 rounds.append(None)
     unknown = np.stack([x[3 * n :], np.full(entry.more, np.nan) if P is None else np.sqrt(np.diag(P))])
@@ -655,7 +578,7 @@ def _solved(
     return _Solved(
         net, nodes, rows, names, which, first, ~bodies.turns[of] & (len(heads) > 1 or sights is not None),
         pose, unknown, noise, slipping, solution, laid,
-        cost=solution.cost - float(np.square(noise.residual / sd).sum()) + _unlikely(noise, r, which)
+        cost=solution.cost - float(np.square(noise.residual / sd).sum()) + unlikely(noise, r, which)
         + 6.0 * float(np.log(was).sum()),
     )  # fmt: skip
 
@@ -742,67 +665,21 @@ def _priors(net: RangeNetwork, place: Int[np.ndarray, " m"]) -> list[Factor]:
     return [prior_factor(Priors(place[p.node[held]], p.z[held], p.cov[held]))] if held.any() else []
 
 
-def _windows(net: RangeNetwork, motions: Int[np.ndarray, " m"]) -> Int[np.ndarray, " m"]:
-    """Of each of `motions`, in which window of its robot's time it is."""
-    first = net.motions.first[motions]
-    t = np.nan_to_num(net.t[first])
-    window = np.floor((t - t.min(initial=np.inf)) / WINDOW) if len(t) else t
-    return np.asarray(np.unique(np.column_stack([net.owner[first], window]), axis=0, return_inverse=True)[1].ravel())
-
-
-def loosened(
-    steps: Factor, found: Solution, loose: Float[np.ndarray, " m"], window: Int[np.ndarray, " m"]
-) -> Float[np.ndarray, " m"]:
-    """By how many times motions err as they were taken to, 1 or more, one number a window.
-
-    A variance component [Helmert, 1924]: squares of whitened residuals over how many of them the rest of the problem
-    checks. steps: the motions as they were taken to err, `loose` times as they are by themselves.
-    """
-    V = np.random.default_rng(0).choice([-1.0, 1.0], size=(len(loose), steps.rows, PROBES))
-    J, at = np.asarray(steps.sqrt_info) @ steps.jacobian(found.x), steps.columns
-    u = np.zeros((len(found.x), PROBES))
-    np.add.at(u, at, np.einsum("mrc,mrp->mcp", J, V))
-    y = np.zeros_like(u)
-    assert found.information is not None  # noqa: S101  (asked of what is solved alone)
-    y[found.free] = found.information.solve(u[found.free])
-    checked = (V * (V - np.einsum("mrc,mcp->mrp", J, y[at]))).mean(axis=2).sum(axis=1)
-    squares, dof = (np.bincount(window, v) for v in (steps.squares(found.x), checked))
-    times = np.sqrt((squares + WINDOW_DOF) / (np.maximum(dof, 0.0) + WINDOW_DOF))
-    return np.asarray(np.maximum(loose * times[window], 1.0))
-
-
-def _unlikely(noise: _Noise, r: Ranges, which: Int[np.ndarray, " k"]) -> float:
-    """Less twice the logarithm of the likelihood of the ranges: each but the far ones goes on from its pair's last.
-
-    A layout that is wrong is made up for by noise that is greater and lasts longer, which squares over the noise hide.
-    """
-    sd = np.fmax(r.sd, noise.each)
-    long = noise.lasting[which]
-    new = sd * 2.0 * np.sqrt(long) / (long + 1.0)  # of an error, beside what is left of the last, as it lasts so long
-    each = np.square(noise.residual / sd) + 2.0 * np.log(new) + np.log(2.0 * np.pi)
-    return float(np.where(noise.far, 2.0 * np.log(ANYTHING), each).sum())
-
-
-def _spread_of(off: Float[np.ndarray, " p"], P: Float[np.ndarray, "q q"]) -> float:
-    """[m] of biases `off` what they have in common; P: covariance of biases and, last, of that."""
-    apart = np.diag(P)[:-1] + P[-1, -1] - 2 * P[:-1, -1]
-    return max(SHRUNK, float(np.sqrt(np.mean(np.square(off) + apart))))
-
-
 def _known(
     net: RangeNetwork, found: RangeEstimate | None, names: Int[np.ndarray, "p 2"], rows: Int[np.ndarray, " k"]
-) -> tuple[_Noise, Float[np.ndarray, " p"]]:
+) -> tuple[RadioNoise, Float[np.ndarray, " p"]]:
     """The noise of the ranges `rows`, of the pairs `names`, as they were found, if so, and the pairs' biases [m]."""
     pairs, k = len(names), len(rows)
     if found is None:
         first = np.full(k, FIRST_SD)
-        return _Noise(np.zeros(k), np.zeros(k, bool), np.full(pairs, FIRST_SD), np.ones(pairs), first), np.zeros(pairs)
+        noise = RadioNoise(np.zeros(k), np.zeros(k, bool), np.full(pairs, FIRST_SD), np.ones(pairs), first)
+        return noise, np.zeros(pairs)
     radios = {(radio.a, radio.b): radio for radio in found.radios}
     told = [radios.get((net.everybody[a], net.everybody[b])) for a, b in names.tolist()]
     each = [(0.0, FIRST_SD, 1.0) if radio is None else (radio.bias, radio.sd, radio.lasting) for radio in told]
     bias, sd, long = np.array(each).reshape(-1, 3).T
     which = np.unique(net.pairs()[1][rows], return_inverse=True)[1]
-    return _Noise(found.residual[rows], found.far[rows], sd, long, sd[which]), bias
+    return RadioNoise(found.residual[rows], found.far[rows], sd, long, sd[which]), bias
 
 
 def _known_slips(net: RangeNetwork, found: RangeEstimate | None) -> Float[np.ndarray, " m"]:
@@ -822,15 +699,3 @@ def _order(fixed: Bool[np.ndarray, " m"], beacon: Bool[np.ndarray, " n"]) -> Cal
     group = np.concatenate([np.repeat(np.arange(n), 3), n + np.arange(rest)])[~fixed]
     last = np.concatenate([np.repeat(beacon, 3), np.ones(rest, bool)])[~fixed]
     return lambda pattern: pattern.least_fill(group, last)
-
-
-def _densest_half(e: Float[np.ndarray, " n"]) -> tuple[float, float]:
-    """Middle and half width of the shortest span that holds half of the errors: where most ranges went straight.
-
-    Those that went round something are all too long, so that a median and what scatters about it are off.
-    """
-    e = np.sort(e)
-    h = len(e) // 2 + 1
-    width = e[h - 1 :] - e[: len(e) - h + 1]
-    k = int(np.argmin(width))
-    return float(0.5 * (e[k] + e[k + h - 1])), float(0.5 * width[k])
