@@ -49,6 +49,32 @@ def test_a_recording_of_ranges_becomes_a_result_like_any_other(radios):
     assert mapweave.evaluate(home / "out", home / "log").metrics["landmark_n"] == 2
 
 
+def test_how_a_map_of_ranges_grew_is_told_and_changes_nothing_else(radios, tmp_path):
+    home, _ = radios
+    rows = mapweave.map(home / "log", tmp_path / "out", every=25).metrics["online"]
+    assert [row["t"] for row in rows[:-1]] == [25, 50]
+    assert rows[-1].items() >= {"robots": 3, "maps": 1, "beacons": 2, "verdict": "good"}.items()
+    assert rows[0]["robots"] <= 3
+    assert mapweave.load(tmp_path / "out").metrics["online"] == rows
+    assert (tmp_path / "out" / "figures" / "growth.png").is_file()
+    for name in ("ranges.csv", "graph.pyfg", "landmarks.csv", "trajectories/robot2.tum"):
+        assert (tmp_path / "out" / name).read_bytes() == (home / "out" / name).read_bytes()
+
+
+def test_a_log_of_ranges_up_to_a_moment_knows_nothing_of_who_began_later():
+    log = ranged(
+        {"robot1": driven(SQUARE, (0.0, 0.0, 0.0)), "robot2": driven(SQUARE, (1.0, 1.0, 0.0))}, {"b": (2.0, 1.0)}
+    )
+    late = log.odometry["robot2"]
+    log = replace(log, odometry={**log.odometry, "robot2": replace(late, t=late.t + 30.0)})
+    early, later = log.until(20.0), log.until(40.0)
+    assert list(early.odometry) == ["robot1"]
+    assert {early.names[k] for k in {*early.a.tolist(), *early.b.tolist()}} == {"robot1", "b"}
+    assert early.t.max() <= 20.0
+    assert list(later.odometry) == ["robot1", "robot2"]
+    assert later.odometry["robot2"].t[-1] <= 40.0
+
+
 def test_the_solved_graph_that_is_written_solves_to_the_same_places(radios):
     home, result = radios
     written = read_pyfg(home / "out" / "graph.pyfg")

@@ -193,7 +193,7 @@ def map(  # noqa: A001  (the verb)
         How many robots are worked on at once, in processes of our own (1).
     every
         Also make the map of what came until then every so many seconds [s] of the logs, and tell in `metrics["online"]`
-        how it grew (not at all). Of lasers and mixed teams each is made anew, without `decisions`.
+        how it grew (not at all). Of all but landmark logs each is made anew, without `decisions`.
     fuse_every
         The same, as it was called when landmark logs alone had it: one of both.
     refine

@@ -34,6 +34,7 @@ from ..report.team_figures import headline_scores
 from ..team.georeference import laid_ranges
 from ..team.team_map import TeamMap, in_first_frame, way_loose
 from .evaluate import Evaluation, judged
+from .map_laser import grown
 from .map_options import MapOptions
 from .team import Watch
 
@@ -57,7 +58,7 @@ TOLD_SHARE = 0.02  # of all ranges rejected, from which it is told
 class RangeResult(ResultBase):
     """Robots and beacons placed by ranges: `maps` as of landmark logs, beacons as landmarks, the largest first.
 
-    georeference: where fixes lay one of them.
+    georeference: where fixes lay one of them; online: what the maps on the way held.
     """
 
     maps: tuple[TeamMap, ...]
@@ -69,6 +70,7 @@ class RangeResult(ResultBase):
     timing: dict[str, float] = field(compare=False)
     evaluation: Evaluation | None = None
     georeference: Georeference | None = None
+    online: tuple[dict[str, Any], ...] = ()
 
     @property
     def verdict(self) -> Verdict:
@@ -113,12 +115,20 @@ class RangeResult(ResultBase):
         }  # fmt: skip
         if self.georeference is not None:
             out["georeference"] = [None if placed is None else placed.row() for placed in self._placed]
+        if self.online:
+            out["online"] = list(self.online)
         return out if self.evaluation is None else {**out, "evaluation": self.evaluation.as_json()}
 
     @property
     def _placed(self) -> list[Georeference | None]:
         """Of each map where it lies in the world."""
         return [self.georeference if part.frame_cov is not None else None for part in self.estimate.parts]
+
+    def size(self) -> dict[str, Any]:
+        """How many robots and beacons the largest map holds, how many maps there are, and the verdict."""
+        first = self.maps[0]
+        size = {"robots": len(first.robots), "maps": len(self.maps), "beacons": len(first.landmarks)}
+        return {**size, "verdict": self.verdict}
 
     def headline(self) -> Rows:
         rows = [(robot_key(r.a), robot_key(r.b), r.n, r.bias, r.sd, r.far) for r in self.estimate.radios]
@@ -146,7 +156,15 @@ class RangeResult(ResultBase):
         scores = () if self.evaluation is None else tuple(headline_scores(self.evaluation.as_json()))
         told = () if self.evaluation is None else tuple(self.evaluation.lines())
         return RangeStory(
-            self.source, self.maps, self.network, self.estimate, self.findings, scores, self._placed, told
+            self.source,
+            self.maps,
+            self.network,
+            self.estimate,
+            self.findings,
+            scores,
+            self._placed,
+            told,
+            self.online,
         )
 
     def write_into(self, folder: Path) -> None:
@@ -237,7 +255,7 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> RangeResult:
     if len(logs) > 1:
         raise UsageError(f"expected one recording of ranges, found {len(logs)}: record all robots together")
     plain = MapOptions()
-    for name in ("robots", "method", "weights", "share", "start", "fuse_every", "refine", "online", "calibration"):
+    for name in ("robots", "method", "weights", "share", "start", "refine", "online", "calibration"):
         if (asked := getattr(options, name)) != getattr(plain, name):
             option = f"{'no-' * (asked is False)}{name.replace('_', '-')}"
             raise UsageError(f"--{option}: not for recordings of ranges, found {logs[0]}")
@@ -251,7 +269,15 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> RangeResult:
             raise DataError(f"{options.survey}: none of its points is a beacon ranged to ({', '.join(log.names)})")
         log = replace(log, known=known)
     watch.lap("read")
-    return _scored(_of_log(log, watch), options)
+    result = _of_log(log, watch)
+    if options.fuse_every is not None:
+
+        def look(until: list[float]) -> dict[str, Any]:
+            return _of_log(log.until(until[0]), Watch()).size()
+
+        rows = grown([log.span], options.fuse_every, look, result.size(), options.on_progress)
+        result = replace(result, online=tuple(rows))
+    return _scored(result, options)
 
 
 def _of_log(log: RangeLog, watch: Watch) -> RangeResult:

@@ -224,6 +224,31 @@ class RangeLog:
     unused: tuple[Unused, ...] = ()
     findings: tuple[Finding, ...] = ()
 
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last stamp [s] of odometry."""
+        return min(float(k.t[0]) for k in self.odometry.values()), max(float(k.t[-1]) for k in self.odometry.values())
+
+    def until(self, t: float) -> "RangeLog":
+        """What was recorded by `t` [s]: of robots whose odometry had begun, and among these alone."""
+        begun = {name: int(np.searchsorted(k.t, t, side="right")) for name, k in self.odometry.items()}
+        odometry = {
+            name: replace(k, t=k.t[:n], pose=k.pose[:n])
+            for (name, k), n in zip(self.odometry.items(), begun.values(), strict=True)
+            if n
+        }
+        gone = [k for k, name in enumerate(self.names) if begun.get(name, 1) == 0]
+        rows = (self.t <= t) & ~np.isin(self.a, gone) & ~np.isin(self.b, gone)
+        return replace(
+            self,
+            odometry=odometry,
+            a=self.a[rows],
+            b=self.b[rows],
+            t=self.t[rows],
+            z=self.z[rows],
+            fixes={name: fixes.within(-np.inf, t) for name, fixes in self.fixes.items() if name in odometry},
+        )
+
 
 def network_of(log: RangeLog, clocks: Mapping[str, StampShift] | None = None) -> RangeNetwork:
     """The network of `log`: ranges that cannot be are left out and counted, beacons nobody ranged to are not there.

@@ -27,6 +27,7 @@ from .html import Page, told_list
 from .laser_figures import READABLE, walls
 from .scene import Scene, Shape, fix_points, landmark_points, script
 from .style import LANDMARK, MUTED, TRUTH, Target, colour, figure
+from .team_figures import add_growth
 
 if TYPE_CHECKING:
     from .style import Axes
@@ -208,6 +209,7 @@ class RangeStory:
     scores: Sequence[tuple[str, str]] = ()
     placed: Sequence[Georeference | None] = ()  # of each map where fixes lay it
     told: Sequence[str] = ()
+    growth: Sequence[Mapping[str, Any]] = ()  # what the maps on the way held
 
     def tint(self, robot: str) -> str:
         return colour(self.network.robots.index(robot))
@@ -268,6 +270,7 @@ def write_range_report(folder: Path, story: RangeStory) -> None:
         draw_residuals,
         story,
     )
+    add_growth(page, folder, story.growth)
     page.write(folder / "report.html")
 
 
