@@ -16,19 +16,18 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from mapweave.api.simulate import simulate_landmarks, simulate_laser
-from mapweave.core.landmark_log import LandmarkLog
-from mapweave.core.laser_log import LaserLog
+from mapweave.api.simulate import simulate_landmarks, simulate_laser, simulate_team
 from mapweave.io.landmark_logs import read_landmark_logs
+from mapweave.io.range_bags import read_range_bag
 from mapweave.landmarks.config import EkfSlamConfig
 from mapweave.live.door import decode
 from mapweave.live.driven import LaserRobot
 from mapweave.live.inbox import AGAIN, Inbox
-from mapweave.live.landmark_stream import LandmarkRobot, messages_of
-from mapweave.live.laser_stream import messages_of_laser
+from mapweave.live.landmark_stream import LandmarkRobot
 from mapweave.live.messages import (
     Correction,
     GoalMessage,
+    Header,
     MapState,
     Message,
     Numbered,
@@ -38,12 +37,17 @@ from mapweave.live.messages import (
     Tile,
     encode,
 )
+from mapweave.live.range_stream import RangeRobot, of_robot, ranged
+from mapweave.live.robot import Driving
 from mapweave.live.shared_map import SharedMap
+from mapweave.live.sources import LiveLog
+from mapweave.live.sources import messages as told_of
 from mapweave.live.store import Store
 from mapweave.live.tiles import SIDE, pack
 from mapweave.live.told import LiveTeam
 from mapweave.live.view import Board
 from mapweave.mapping.config import LaserConfig
+from mapweave.ranges.network import RangeLog
 from mapweave.sim.laser_worlds import CorridorConfig
 
 NUMBERS = (
@@ -67,25 +71,33 @@ class Told:
     seconds: float = 0.0
 
 
-def team(sensor: str, robots: int = 2) -> dict[str, LandmarkLog | LaserLog]:
+def team(sensor: str, robots: int = 2) -> dict[str, LiveLog]:
     """Logs of a small simulated team, by name."""
     if sensor == "laser":
         log = simulate_laser(world=CorridorConfig(distance=3.0), seed=1).log
         return {f"r{k}": replace(log, robot=f"robot{k}", source=f"sim-{k}") for k in range(1, robots + 1)}
+    if sensor == "ranges":
+        with tempfile.TemporaryDirectory() as folder:
+            home = Path(folder, "team")
+            simulate_team(home, ranges=True, lasers=robots, cameras=0, bearings=0, beacons=2, minutes=0.2)
+            whole = read_range_bag(home)
+        return {f"r{k}": of_robot(whole, name) for k, name in enumerate(whole.odometry, 1)}
     with tempfile.TemporaryDirectory() as folder:
         simulate_landmarks(Path(folder, "team"), robots=robots, minutes=0.3, seed=4)
         logs = read_landmark_logs(Path(folder, "team"))
     return {f"r{k}": log for k, log in enumerate(logs, 1)}
 
 
-def histories(logs: dict[str, LandmarkLog | LaserLog]) -> dict[str, list[Numbered]]:
-    return {
-        name: [
-            m
-            for _, m in (messages_of_laser if isinstance(log, LaserLog) else messages_of)(log, name, f"run{name}", 0.5)
-        ]
-        for name, log in logs.items()
-    }
+def histories(logs: dict[str, LiveLog]) -> dict[str, list[Numbered]]:
+    return {name: [m for _, m in told_of(log, name, f"run{name}", 0.5)] for name, log in logs.items()}
+
+
+def _driving(header: Header) -> Driving:
+    if header.sensor == "ranges":
+        return RangeRobot(header)
+    if header.sensor == "laser":
+        return LaserRobot(header, LaserConfig(method="graph", threads=1))
+    return LandmarkRobot(header, EkfSlamConfig())
 
 
 def beside(told: dict[str, list[Numbered]]) -> list[Message]:
@@ -93,9 +105,7 @@ def beside(told: dict[str, list[Numbered]]) -> list[Message]:
     out: list[Message] = []
     for name, messages in told.items():
         header, *rest = messages
-        driving = (LaserRobot if header.sensor == "laser" else LandmarkRobot)(
-            header, LaserConfig(method="graph", threads=1) if header.sensor == "laser" else EkfSlamConfig()
-        )
+        driving = _driving(header)
         for message in rest[: len(rest) // 2]:
             driving.add(message)
         pose, cov, n = driving.status()
@@ -206,8 +216,8 @@ def told_among_mutations(sensor: str, n: int, seed: int = 0) -> Told:
             if out.messages % DECIDED_EVERY == 0:
                 inbox.save()
                 out.asked += _decided(inbox, told, now)
-            if out.messages % FUSED_EVERY == 0 and (fusing := shared.fusing(inbox.ledgers.values())) is not None:
-                shared.take_fused(fusing.run())
+            if out.messages % FUSED_EVERY == 0:
+                _made_of_it(inbox, shared)
         for _ in range(50):  # what the honest robots are asked for, they tell again
             now += 2 * AGAIN
             out.asked += _decided(inbox, told, now)
@@ -226,6 +236,15 @@ def told_among_mutations(sensor: str, n: int, seed: int = 0) -> Told:
         out.refused = sum((ledger.refused for ledger in inbox.ledgers.values()), inbox.refused.copy())
     out.seconds = time.monotonic() - begin
     return out
+
+
+def _made_of_it(inbox: Inbox, shared: SharedMap) -> None:
+    """The shared map is made of what is here."""
+    if (fusing := shared.fusing(inbox.ledgers.values())) is not None:
+        shared.take_fused(fusing.run())
+    logs = [log for log in map(inbox.log, inbox.ledgers) if isinstance(log, RangeLog)]
+    if logs:
+        shared.take_ranged(ranged(logs))
 
 
 def _seen_by_others(payload: bytes, board: Board, team: LiveTeam, inbox: Inbox, now: float) -> None:
@@ -260,8 +279,8 @@ def main() -> None:
     parser.add_argument("--messages", type=int, default=200_000)
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args()
-    for sensor in ("landmarks", "laser"):
-        told = told_among_mutations(sensor, asked.messages // 2, asked.seed)
+    for sensor in ("landmarks", "laser", "ranges"):
+        told = told_among_mutations(sensor, asked.messages // 3, asked.seed)
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
         whole = "as told, to the byte" if told.whole else "NOT AS TOLD"
         print(

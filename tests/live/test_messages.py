@@ -19,6 +19,7 @@ from mapweave.live.messages import (
     GoalMessage,
     Header,
     MapState,
+    Radios,
     RefusedError,
     Rows,
     ScanBeams,
@@ -205,7 +206,9 @@ def test_rows_that_contradict_what_was_told_before_are_refused(rows, told):
     assert not record.parts
 
 
-@pytest.mark.parametrize("message", [Header, Rows, Scans, Status, Snapshot, Correction, GoalMessage, MapState, Tile])
+@pytest.mark.parametrize(
+    "message", [Header, Rows, Scans, Radios, Status, Snapshot, Correction, GoalMessage, MapState, Tile]
+)
 def test_the_page_of_the_protocol_names_every_field_and_which_may_be_left_out(message):
     row = re.search(rf"^\| `{message.__struct_config__.tag}` \| (.*) \|$", PAGE, re.MULTILINE).group(1)
     every = msgspec.structs.fields(message)

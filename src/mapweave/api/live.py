@@ -30,13 +30,15 @@ from ..live.isolation import without_culprits
 from ..live.landmark_stream import LandmarkRobot
 from ..live.map_process import MapProcess
 from ..live.messages import Header, Topics, check_name
+from ..live.range_stream import RangeRobot, of_team
 from ..live.robot import Listeners, Pace, RobotProcess
-from ..live.sources import BagFeed, messages, open_recording, open_source
+from ..live.sources import BagFeed, LiveLog, messages, open_recording, open_source
 from ..live.store import Store, begun
 from ..live.told import follow
 from ..live.transport import LISTENING, Network, is_open, session, told_on
 from ..live.view import Board, served
 from ..mapping.config import LaserConfig
+from ..ranges.network import RangeLog
 from ..report.result import ResultBase
 from ..report.small_pages import draw_messages, write_small_page
 from ..report.style import Target
@@ -47,6 +49,7 @@ from .map_laser import LaserMapConfig
 from .map_laser import map_logs as map_lasers
 from .map_mixed import MixedMapConfig, MixedResult, join_apart, map_mixed_logs
 from .map_options import MapOptions
+from .ranges import RangeResult, map_range_log
 from .team import TeamResult
 
 
@@ -96,7 +99,7 @@ class LiveRobot(ResultBase):
 
 
 ROS2 = "ros2"
-LiveResult = TeamResult | LaserResult | MixedResult
+LiveResult = TeamResult | LaserResult | MixedResult | RangeResult
 INSECURE = Finding("network-open").text
 
 Say = Callable[[str], None]
@@ -133,7 +136,8 @@ def live_robot(
     name
         What the team calls it.
     source
-        An MRCLAM data set, a folder with odometry.csv and sightings.csv, a laser log, sim:landmarks or sim:office; or
+        An MRCLAM data set, a folder with odometry.csv and sightings.csv, a laser log, a recording of ranging radios,
+        sim:landmarks or sim:office; or
         ros2: a robot that drives now, whose ROS 2 runs rmw_zenoh or has zenoh-bridge-ros2dds beside it, until `stop`.
     robot
         Which robot of the log it is, by key (the one whose number `name` ends with, or the only one).
@@ -184,7 +188,7 @@ def live_robot(
     with Store(path, f"robot {name} of team {network.team}") as store, ExitStack() as opened:
         if fresh:
             store.clear()
-        run = begun(store, "landmarks" if isinstance(log, LandmarkLog) else "laser", period)
+        run = begun(store, _sensor(log), period)
         if ros2:
             sent, ears = drive_ros2(name, options, store, run, period, linger, config, network, stop, say, wall)
             return _ended(name, sent, ears, store)
@@ -195,7 +199,7 @@ def live_robot(
         team = opened.enter_context(session(network, lambda at: say(f"{name}: {LISTENING}{at}")))
         process = RobotProcess(name, team, Topics(network.team), store, say, wall)
         process.join()
-        told = f"follows {source}" if log is None else f"{log.robot} of {source}"
+        told = f"follows {source}" if log is None else f"{_robot_of(log)} of {source}"
         say(f"{name}: {told}, team {network.team}, history in {path}")
         if log is None:
             opener = partial(open_recording, name=name, robot=robot)
@@ -222,8 +226,20 @@ def _check_pace(rate: float, period: float, linger: float) -> None:
         raise UsageError(f"--linger: expected seconds, found {linger}")
 
 
-def _driving(header: Header, settings: AnyConfig | None) -> LandmarkRobot | LaserRobot:
-    """The estimator that `map` would run."""
+def _robot_of(log: LiveLog) -> str:
+    return next(iter(log.odometry)) if isinstance(log, RangeLog) else log.robot
+
+
+def _sensor(log: LiveLog | None) -> str:
+    if isinstance(log, RangeLog):
+        return "ranges"
+    return "landmarks" if isinstance(log, LandmarkLog) else "laser"
+
+
+def _driving(header: Header, settings: AnyConfig | None) -> LandmarkRobot | LaserRobot | RangeRobot:
+    """The estimator that `map` would run; of a robot that ranges, its odometry."""
+    if header.sensor == "ranges":
+        return RangeRobot(header)
     if header.sensor == "landmarks":
         return LandmarkRobot(header, load(LandmarkMapConfig, settings).ekf)
     cfg = load(LaserMapConfig, settings, {"laser": {"method": "graph"}}).laser
@@ -394,7 +410,7 @@ def _with_findings(result: LiveResult, texts: Sequence[str]) -> LiveResult:
     if not found:
         return result
     every = (*result.findings, *found)
-    if isinstance(result, TeamResult):
+    if isinstance(result, TeamResult | RangeResult):
         return replace(result, findings=every)
     rows = [*result.metrics["findings"], *(one.row() for one in found)]
     metrics = {**result.metrics, "verdict": verdict(every), "findings": rows}
@@ -410,7 +426,13 @@ def _final(inbox: Inbox, options: MapOptions, finding: Say) -> LiveResult:
             lost = max(x.missing, 0)
             finding(f"{name}: of {x.last + 1} messages {lost} are missing: what it told is used up to the first gap")
     called = {x.record.header.log_robot: name for name, x in inbox.ledgers.items() if x.record is not None}
-    logs = {log.robot: log for log in map(inbox.log, inbox.ledgers) if log is not None}
+    heard = [log for log in map(inbox.log, inbox.ledgers) if log is not None]
+    radios = {_robot_of(log): log for log in heard if isinstance(log, RangeLog)}
+    logs = {log.robot: log for log in heard if not isinstance(log, RangeLog)}
+    if not logs and radios:
+        return map_range_log(of_team(list(radios.values())))
+    for name in sorted(radios, key=in_order):
+        finding(f"{called.get(name, name)}: left out of the map: it ranges, and others see: these are mapped apart")
     names = sorted(logs, key=in_order)
     result, _, failed = without_culprits(names, lambda some: _mapped([logs[name] for name in some], options))
     if result is None:

@@ -280,6 +280,11 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> RangeResult:
     return _scored(result, options)
 
 
+def map_range_log(log: RangeLog) -> RangeResult:
+    """The map of a log that was read."""
+    return _of_log(log, Watch())
+
+
 def _of_log(log: RangeLog, watch: Watch) -> RangeResult:
     net = network_of(log)
     if not len(net.ranges):

@@ -28,6 +28,7 @@ from .messages import (
     MapState,
     Message,
     Numbers,
+    Radios,
     RefusedError,
     Rows,
     ScanBeams,
@@ -124,7 +125,7 @@ def _check(message: Message) -> None:
     match message:
         case Header():
             _header(message)
-        case Rows() | Scans() | Closed():
+        case Rows() | Scans() | Radios() | Closed():
             _numbered(message)
         case Status():
             _status(message)
@@ -148,7 +149,7 @@ def _check(message: Message) -> None:
 
 def _header(message: Header) -> None:
     _expect(message.seq == 0, "a header is number 0")
-    _expect(message.sensor in {"landmarks", "laser"}, f"sensor {message.sensor[:LONGEST_NAME]!r}")
+    _expect(message.sensor in {"landmarks", "laser", "ranges"}, f"sensor {message.sensor[:LONGEST_NAME]!r}")
     _names(message.robot, message.log_robot)
     _texts(message.run, message.source, message.odometry_from, message.log_hash)
     _landmarks(message.names)
@@ -157,6 +158,8 @@ def _header(message: Header) -> None:
     _findings(message.findings)
     _unused(message.unused)
     _within(LARGEST, "a sweep", message.sweep)
+    _expect(len(message.antenna) in {0, 2}, "two numbers of an antenna")
+    _within(LARGEST, "an antenna", *message.antenna)
     if len(message.misread):
         _within(LATEST, "a stamp", *unpack(message.misread, 1)[0].tolist())
 
@@ -183,7 +186,7 @@ def _unused(rows: Sequence[object]) -> None:
         _within(MOST_COUNTED, "a count", left.messages)
 
 
-def _numbered(message: Rows | Scans | Closed) -> None:
+def _numbered(message: Rows | Scans | Radios | Closed) -> None:
     _names(message.robot)
     _texts(message.run)
     _expect(0 < message.seq <= MOST_MESSAGES, f"a number from 1 to {MOST_MESSAGES}")
@@ -191,6 +194,18 @@ def _numbered(message: Rows | Scans | Closed) -> None:
         _rows(message)
     elif isinstance(message, Scans):
         _scans(message)
+    elif isinstance(message, Radios):
+        _radios(message)
+
+
+def _radios(message: Radios) -> None:
+    track, told = unpack(message.track, 4), unpack(message.told, 2)
+    _expect(told.shape[1] == len(message.whom), "an index a range")
+    _expect(all(0 <= k <= MOST_NAMES for k in message.whom), f"an index from 0 to {MOST_NAMES}")
+    _expect(all(0 <= k < len(message.whom) for k in message.theirs), "rows that there are")
+    _column(LATEST, "a stamp", track[0], told[0])
+    _column(LARGEST, "odometry", track[1:])
+    _column(GREATEST, "a range", told[1])
 
 
 def _rows(message: Rows) -> None:
@@ -224,6 +239,7 @@ def _beams(beams: ScanBeams) -> None:
     _expect(beams.range_max > 0, "a largest range above 0")
     _pose(beams.mount, ())
     _pose(beams.odometry or beams.mount, ())
+    _within(LARGEST, "a heading", beams.heading or 0.0)
     _texts(beams.host)
     _column(GREATEST, "a range", stretch(beams.ranges, beams.n))
     if beams.light is not None:

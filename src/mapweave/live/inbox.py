@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from ..core.landmark_log import LandmarkLog
 from ..core.laser_log import LaserLog
 from ..core.names import robot_name
+from ..ranges.network import RangeLog
 from .door import decode, envelope_of
 from .isolation import in_words
 from .landmark_stream import WHEELS_LATE, LandmarkRecord, rows_told
@@ -23,6 +24,7 @@ from .messages import (
     Header,
     Message,
     Numbered,
+    Radios,
     RefusedError,
     RobotState,
     Rows,
@@ -31,9 +33,10 @@ from .messages import (
     Status,
     is_name,
 )
+from .range_stream import RangeRecord, ranges_told
 from .store import Store
 
-Record = LandmarkRecord | LaserRecord
+Record = LandmarkRecord | LaserRecord | RangeRecord
 
 ANSWER = 200  # messages asked for at once
 PATIENCE = 0.3  # [s] that a message may come late before it is asked for
@@ -186,7 +189,7 @@ class Inbox:
             self.news.append(f"{speaker}: refused: {refused}")
 
     def _take(self, speaker: str, message: Message, payload: bytes, now: float) -> None:
-        if not isinstance(message, Header | Rows | Scans | Closed | Status | Snapshot):
+        if not isinstance(message, Header | Rows | Scans | Radios | Closed | Status | Snapshot):
             raise RefusedError("malformed", f"a {type(message).__name__} from a robot")
         if message.robot != speaker:
             raise RefusedError("forged name", f"{message.robot!r} under the key of {speaker!r}")
@@ -312,9 +315,8 @@ class Inbox:
         message = decode(self._payload(ledger.robot, seq)) if fresh is None else fresh
         if isinstance(message, Header):
             self._expect_room_for(ledger, message)
-            landmarks = message.sensor == "landmarks"
-            ledger.record = LandmarkRecord.begin(message, keep=False) if landmarks else LaserRecord(message)
-        elif ledger.record is None or not isinstance(message, Rows | Scans | Closed):
+            ledger.record = _begun(message)
+        elif ledger.record is None or not isinstance(message, Rows | Scans | Radios | Closed):
             raise RefusedError("malformed", f"a {type(message).__name__} in a history without a header")
         else:
             before = _wheelless(ledger)
@@ -510,7 +512,7 @@ class Inbox:
         if robot in self.ledgers:
             self.ledgers[robot].answered = True
 
-    def log(self, robot: str) -> LandmarkLog | LaserLog | None:
+    def log(self, robot: str) -> LandmarkLog | LaserLog | RangeLog | None:
         """What `robot` told up to its first gap; None of one that told no header yet."""
         ledger = self.ledgers[robot]
         record = ledger.record
@@ -518,6 +520,8 @@ class Inbox:
             return None
         if isinstance(record, LandmarkRecord):
             return rows_told(self._messages(ledger))
+        if isinstance(record, RangeRecord):
+            return ranges_told(self._messages(ledger))
         again = LaserRecord(record.header)
         parts = (again.add(message) for message in self._messages(ledger) if isinstance(message, Scans))
         return whole_log(record.header, (part for part in parts if part is not None))
@@ -529,6 +533,12 @@ class Inbox:
             kept = dict(self._store.get(ledger.robot, first, last))
             for seq in range(first, last + 1):
                 yield decode(kept.get(seq) or self._unsaved[ledger.robot, seq])
+
+
+def _begun(header: Header) -> Record:
+    if header.sensor == "ranges":
+        return RangeRecord(header)
+    return LandmarkRecord.begin(header, keep=False) if header.sensor == "landmarks" else LaserRecord(header)
 
 
 def _wheelless(ledger: Ledger) -> bool:

@@ -141,8 +141,8 @@ class LandmarkRecord:
         first = self._first
         for table in (drive, seen, bearings):
             first = expect_span(first, table[0])
-        what = _indexed(self._named, message.names, message.what)
-        bearing_what = _indexed(self._bearing_named, message.bearing_names, message.bearing_what)
+        what = indexed(self._named, message.names, message.what)
+        bearing_what = indexed(self._bearing_named, message.bearing_names, message.bearing_what)
         for known, names, fresh in (
             (self._named, self.names, message.names),
             (self._bearing_named, self.bearing_names, message.bearing_names),
@@ -210,7 +210,7 @@ def rows_told(messages: Iterable[Message]) -> LandmarkLog | None:
     return None if record is None else record.log
 
 
-def _indexed(known: set[str], fresh: list[str], what: list[int]) -> Int[np.ndarray, " n"]:
+def indexed(known: set[str], fresh: list[str], what: list[int]) -> Int[np.ndarray, " n"]:
     """The indices in a message whose names come after those known; raises RefusedError when they can't be.
 
     It costs what the message holds, however many are known.

@@ -76,6 +76,7 @@ def beams_of(t: float, scan: Scan) -> ScanBeams:
         mount=tuple(scan.T_robot_sensor.tolist()),
         host=scan.host,
         odometry=None if scan.odometry is None else tuple(scan.odometry.tolist()),
+        heading=scan.heading,
     )
 
 
@@ -93,6 +94,7 @@ def scan_of(beams: ScanBeams) -> Scan:
         frozen(beams.mount),
         beams.host,
         None if beams.odometry is None else frozen(beams.odometry),
+        beams.heading,
     )
 
 

@@ -45,6 +45,7 @@ from .messages import (
     triangle,
     unpack_triangle,
 )
+from .range_stream import RangedTeam, RangeRecord, ranged, ranges_told
 from .shared_map import Fused, SharedMap, judged
 from .store import Store
 from .told import MOST_MAPS
@@ -214,6 +215,21 @@ def _joined(joins: Joins, store: Store, heard: Mapping[str, int], apart: Apart) 
     return replace(joined or Joined(), decisions=[*(joined or Joined()).decisions, *why])
 
 
+def _ranged(store: Store, heard: Mapping[str, int]) -> RangedTeam:
+    """Where those stand, robot -> its first number missing, who have told odometry; of those it can be told of."""
+    logs = {}
+    for name, end in heard.items():
+        log = ranges_told(decode(payload) for _, payload in store.get(name, 0, end - 1))
+        if log is not None:
+            logs[name] = log
+    called = {robot: name for name, log in logs.items() for robot in log.odometry}
+    found, _, failed = without_culprits(list(logs), lambda some: ranged([logs[name] for name in some]))
+    found = found or RangedTeam()
+    why = [f"{name}: not placed by ranges: {error}" for name, error in failed.items()]
+    placed = {called[robot]: place for robot, place in found.placed.items()}
+    return replace(found, placed=placed, decisions=[*found.decisions, *why])
+
+
 @dataclass(slots=True)
 class _Heard:
     """What callbacks leave for the process's own thread."""
@@ -273,6 +289,9 @@ class MapProcess:
         self.joins: Joins | None = None
         self._joining: tuple[float, Future[Joined]] | None = None  # since when [s]
         self._joined_of: object = None
+        self._ranging: tuple[float, Future[RangedTeam]] | None = None  # since when [s]
+        self._range_due = float("-inf")
+        self._ranged_of: dict[str, int] = {}
         self.clocks: dict[str, ClockOffset] = {}
         self.findings: dict[str, None] = {}
         self._anew: dict[str, int] = {}  # how often each robot's history was put right, as the weaver knows it
@@ -340,6 +359,7 @@ class MapProcess:
             if self._safely("fusing", lambda: self._fuse(every)):
                 state = float("-inf")
             self._safely("joining lasers and landmarks", lambda: self._join(every))
+            self._safely("placing robots by ranges", lambda: self._range(every))
             if now >= clock + CLOCK_EVERY:
                 clock = now
                 self._safely("asking for clocks", self._ask_clocks)
@@ -449,6 +469,22 @@ class MapProcess:
         self._joined_of = fresh
         work = partial(_joined, self.joins, self._store, fresh[1], self._mixed(self._woven))
         self._joining = now, beside(work)
+
+    def _range(self, every: float) -> None:
+        """Robots that range are placed by all they have told, beside."""
+        now = time.monotonic()
+        if self._ranging is not None:
+            begin, found = self._ranging
+            if found.done():
+                self._ranging = None
+                self._range_due = now + max(every, JOINING_REST * (now - begin))
+                self._tell(self.shared.take_ranged(found.result()))
+            return
+        heard = {n: x.sure for n, x in self.inbox.ledgers.items() if isinstance(x.record, RangeRecord) and x.sure > 1}
+        if not heard or heard == self._ranged_of or now < self._range_due:
+            return
+        self._ranged_of = heard
+        self._ranging = now, beside(partial(_ranged, self._store, heard))
 
     def _mixed(self, woven: WovenTeam) -> Apart:
         """What is known of a mixed team, by the names in its logs."""

@@ -1,7 +1,7 @@
 """What processes of a team say to each other: MessagePack maps with a tag `type` and the protocol version `v`.
 
-Numbered messages (`Header`, `Rows`, `Scans`, `Closed`) are a robot's history: number 0 is its header, and none is ever
-changed. The others tell how things stand and may be lost. Columns of numbers are bytes: little-endian float64, one
+Numbered messages (`Header`, `Rows`, `Scans`, `Radios`, `Closed`) are a robot's history: number 0 is its header, and
+none is ever changed. The others tell how things stand and may be lost. Columns are bytes: little-endian float64, one
 column after the other (`pack`), or as few as a sensor's need (`squeeze`), which come back to the bit. Times are in
 seconds of the robot's own clock, lengths in metres, angles in radians. They are read by `door.decode` alone.
 
@@ -22,7 +22,7 @@ from jaxtyping import Float, Int
 from ..core.errors import DataError, MapweaveError, UsageError
 from ..core.records import frozen
 
-PROTOCOL = 4
+PROTOCOL = 5
 LARGEST = 1 << 20  # bytes of a message: beyond, it is refused unread
 LONGEST_NAME = 64
 MOST_LEVELS = 16  # of tiles
@@ -38,10 +38,11 @@ class _Message(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 class Header(_Message, tag="header", frozen=True):
     """The first message of a history: who tells it, and what its log is called by those who read it whole.
 
-    sensor: "landmarks" or "laser"; log_robot: `robotK`; names: landmarks and robots by the index that `Rows.what`
-    counts from, bearing_names: those that `Rows.bearing_what` does; odometry: whether there is any; odometry_from,
-    log_hash, sweep ([s] that a scan takes, as its driver states it): of a laser's log; misread: stamps of sightings
-    that were left out, a column.
+    sensor: "landmarks", "laser" or "ranges"; log_robot: `robotK`, of ranges any name; names: landmarks and robots by
+    the index that `Rows.what` counts from (`Radios.whom`: itself, robots and beacons), bearing_names: those that
+    `Rows.bearing_what` does; antenna: [m, m] where a radio's stands on the robot; odometry: whether there is any;
+    odometry_from, log_hash, sweep ([s] that a scan takes, as its driver states it): of a laser's log; misread: stamps
+    of sightings that were left out, a column.
     """
 
     robot: str
@@ -60,6 +61,7 @@ class Header(_Message, tag="header", frozen=True):
     unused: list[dict[str, Any]] = []
     misread: bytes = b""
     sweep: float = 0.0
+    antenna: Numbers = ()
 
 
 class Rows(_Message, tag="rows", frozen=True):
@@ -83,7 +85,7 @@ class Rows(_Message, tag="rows", frozen=True):
 
 class ScanBeams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One scan of n beams. ranges, light: numbers as `squeezed.squeeze` packs them; hit: a bit a beam, the first
-    the highest of its byte; mount: `T_robot_sensor`; odometry: `T_odom_robot` at `t`.
+    the highest of its byte; mount: `T_robot_sensor`; odometry: `T_odom_robot` at `t`; heading: [rad] by a gyroscope.
     """
 
     t: float
@@ -97,6 +99,7 @@ class ScanBeams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     mount: Numbers
     host: str
     odometry: Numbers | None
+    heading: float | None
 
 
 class Scans(_Message, tag="scans", frozen=True):
@@ -107,6 +110,22 @@ class Scans(_Message, tag="scans", frozen=True):
     seq: int
     scans: list[ScanBeams] = []
     track: bytes = b""
+
+
+class Radios(_Message, tag="radios", frozen=True):
+    """Odometry and ranges of a robot, later than those of all earlier messages.
+
+    track: columns t, x, y, theta; told: columns t, range; whom: an index a range, whom to; theirs: rows of `told` that
+    the other end measured.
+    """
+
+    robot: str
+    run: str
+    seq: int
+    track: bytes = b""
+    told: bytes = b""
+    whom: list[int] = []
+    theirs: list[int] = []
 
 
 class Closed(_Message, tag="closed", frozen=True):
@@ -247,8 +266,8 @@ class Tile(_Message, tag="tile", frozen=True):
     cells: bytes
 
 
-Numbered = Header | Rows | Scans | Closed
-Message = Header | Rows | Scans | Closed | Status | Snapshot | Correction | GoalMessage | MapState | Tile
+Numbered = Header | Rows | Scans | Radios | Closed
+Message = Header | Rows | Scans | Radios | Closed | Status | Snapshot | Correction | GoalMessage | MapState | Tile
 
 
 class RefusedError(DataError):

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 from jaxtyping import Float
 
@@ -22,6 +23,7 @@ from .joined import Joined, SightedAt, into_one_frame
 from .landmark_stream import LandmarkRecord
 from .laser_team import WovenTeam
 from .messages import LandmarkState, Snapshot, Tile, unpack, unpack_triangle
+from .range_stream import RangedTeam
 from .tiles import COARSER, TileKey
 from .weaving import ALONE, Placed
 
@@ -99,10 +101,12 @@ class SharedMap:
     resolution: float = 0.05
     tiles: dict[TileKey, bytes] = field(default_factory=dict)
     joined: Joined = field(default_factory=Joined)
+    ranged: RangedTeam = field(default_factory=RangedTeam)
     _met: list[str] = field(default_factory=list)
     _woven: WovenTeam | None = None
     _fused: Fused | None = None
     _fusions: int = 0
+    _rangings: int = 0
     _judged: OnlineFuser | None = None
 
     def fusing(self, ledgers: Iterable[Ledger]) -> Fusing | None:
@@ -154,6 +158,11 @@ class SharedMap:
         self.joined = joined
         return self._laid_out()
 
+    def take_ranged(self, found: RangedTeam) -> list[Tile]:
+        """Robots that range stand as they were `found`, in parts of their own; the tiles that others have then."""
+        self.ranged, self._rangings = found, self._rangings + 1
+        return self._laid_out()
+
     def _laid_out(self) -> list[Tile]:
         """Everybody placed anew: both kinds of parts, those that are tied in one frame and with one number."""
         woven, fused = self._woven, self._fused
@@ -185,8 +194,13 @@ class SharedMap:
             part = next(part for part, anchors in parts.items() if one.to in anchors)
             _, T, cov = lies.get(part, (None, *UNMOVED))
             self.placed[name] = _stands(number[part], one, np.asarray(se2.compose(T, parts[part][one.to])), cov)
-        self.decisions = [*([] if woven is None else woven.decisions), *self._said(fused), *self.joined.decisions]
-        self.fused = self._fusions + (0 if woven is None else woven.number)
+        most = max((placed.component for placed in self.placed.values()), default=0)
+        for name, placed in self.ranged.placed.items():
+            self.placed[name] = replace(placed, component=most + placed.component)
+        self.landmarks += [msgspec.structs.replace(b, component=most + b.component) for b in self.ranged.beacons]
+        said = (*self.joined.decisions, *self.ranged.decisions)
+        self.decisions = [*([] if woven is None else woven.decisions), *self._said(fused), *said]
+        self.fused = self._fusions + self._rangings + (0 if woven is None else woven.number)
         self.meet(self._met)
         before, tiles = self.tiles, {} if woven is None else woven.tiles
         self.tiles = {(number.get((LASER, key[0]), key[0]), *key[1:]): cells for key, cells in tiles.items()}

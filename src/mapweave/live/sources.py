@@ -17,7 +17,9 @@ from ..io.landmark_logs import is_landmark_log, read_landmark_logs
 from ..io.laser_logs import LaserSource, is_bag, is_laser_log, read_laser, robots_of
 from ..io.mixed_logs import is_mixed, read_mixed_landmarks, sorted_logs
 from ..io.mrclam import write_mrclam
+from ..io.range_bags import is_range_bag, read_range_bag
 from ..io.unknown import not_known
+from ..ranges.network import RangeLog
 from ..sim.landmarks import TeamWorld, simulate_team
 from ..sim.laser import drive
 from ..sim.laser_worlds import OfficeConfig, office_route, office_world
@@ -25,13 +27,15 @@ from .landmark_stream import messages_of
 from .laser_feed import ScanFeed
 from .laser_stream import messages_of_laser
 from .messages import Numbered
+from .range_stream import messages_of_ranges, of_robot
 
+LiveLog = LandmarkLog | LaserLog | RangeLog
 LANDMARKS, OFFICE = "sim:landmarks", "sim:office"
 SIMULATED = 5  # robots in the simulated team among landmarks
 ROUTES = 1000  # the seed of robot K's route through the office of seed S is K + 1000 S
 
 
-def open_source(source: str, name: str, robot: str | None, seed: int = 0) -> LandmarkLog | LaserLog:
+def open_source(source: str, name: str, robot: str | None, seed: int = 0) -> LiveLog:
     """The log of one robot of `source`, as a reader gives it; raises UsageError when it is none or lacks the robot.
 
     robot: which one of those in the log; when None the one that `name` ends with the number of, or the only one.
@@ -54,15 +58,19 @@ def open_source(source: str, name: str, robot: str | None, seed: int = 0) -> Lan
         return _of_mixed(path, key, name, source, asked=robot is not None)
     if is_landmark_log(path):
         return _chosen(list(read_landmark_logs(path)), key, name, source, asked=robot is not None)
+    if is_range_bag(path):
+        return _ranging(path, key, name, asked=robot is not None)
     if is_laser_log(path):
         return _laser(path, key, name, asked=robot is not None)
     raise UsageError(f"--source {not_known(path)}")
 
 
-def messages(log: LandmarkLog | LaserLog, robot: str, run: str, period: float) -> Iterator[tuple[float, Numbered]]:
+def messages(log: LiveLog, robot: str, run: str, period: float) -> Iterator[tuple[float, Numbered]]:
     """What a robot with this log tells, and when [s] of the log's clock."""
     if isinstance(log, LaserLog):
         return messages_of_laser(log, robot, run, period)
+    if isinstance(log, RangeLog):
+        return messages_of_ranges(log, robot, run, period)
     return messages_of(log, robot, run, period)
 
 
@@ -90,6 +98,20 @@ def _laser(path: Path, key: str | None, name: str, *, asked: bool) -> LaserLog:
         raise UsageError(f"--robot {key}: {path} holds one robot: leave --robot away")
     number = re.search(r"(\d+)$", name)
     return read_laser(path, robot_name("1" if number is None else str(int(number[1]))), replace(source, name=called))
+
+
+def _ranging(path: Path, key: str | None, name: str, *, asked: bool) -> RangeLog:
+    """What one robot of a recording of ranging radios tells: the one of that name, or the one of that number."""
+    log = read_range_bag(path)
+    robots = sorted(log.odometry, key=in_order)
+    there = [one for one in robots if key in {one, robot_key(one)}] or [
+        one for one in robots if key is not None and key.isdecimal() and re.search(rf"(?<!\d)0*{int(key)}$", one)
+    ]
+    if not there and not asked and len(robots) == 1:
+        there = robots
+    if len(there) != 1:
+        raise UsageError(f"--robot: which robot is {name}? {path} holds {', '.join(map(robot_key, robots))}")
+    return of_robot(log, there[0])
 
 
 def _of_mixed(path: Path, key: str | None, name: str, source: str, *, asked: bool) -> LandmarkLog | LaserLog:

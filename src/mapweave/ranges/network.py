@@ -201,6 +201,9 @@ SILENT = 2.0  # [s] without odometry, and that many times its usual interval, fr
 ALONG, ACROSS, DRIFT, TURN, REST_XY, REST_THETA = 0.03, 0.015, 0.03, 0.04, 1e-3, 1e-3
 
 
+NO_NUMBER = "range that is no positive number"  # why it is left out
+
+
 @dataclass(frozen=True, slots=True)
 class RangeLog:
     """odometry: robot -> its track in a frame of its own; a, b: (k,) who ranged to whom, into `names`, robots first;
@@ -317,7 +320,7 @@ def _kept(log: RangeLog, robots: tuple[str, ...]) -> tuple[Int[np.ndarray, " m"]
                 outside |= (end == k) & np.any(during, axis=0)
     for reason, bad in (
         ("range to itself", log.a == log.b),
-        ("range that is no positive number", ~(np.isfinite(log.z) & (log.z > 0))),
+        (NO_NUMBER, ~(np.isfinite(log.z) & (log.z > 0))),
         ("range while odometry is silent", outside),
     ):
         wrong = bad & keep
@@ -325,7 +328,10 @@ def _kept(log: RangeLog, robots: tuple[str, ...]) -> tuple[Int[np.ndarray, " m"]
         if wrong.any():
             dropped[reason] = dropped.get(reason, 0) + int(wrong.sum())
     rows = np.flatnonzero(keep)
-    return rows[np.argsort(log.t[rows], kind="stable")], dropped
+    place = {name: k for k, name in enumerate(sorted(log.names, key=in_order))}
+    a, b = (np.array([place[log.names[k]] for k in end[rows].tolist()], np.int64) for end in (log.a, log.b))
+    in_time = np.lexsort((log.z[rows], b, a, log.t[rows]))  # the same in whatever order they came
+    return rows[in_time], dict(sorted(dropped.items()))
 
 
 def silences(t: Float[np.ndarray, " n"]) -> list[tuple[float, float]]:
