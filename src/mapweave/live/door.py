@@ -160,6 +160,11 @@ def _header(message: Header) -> None:
     _within(LARGEST, "a sweep", message.sweep)
     _expect(len(message.antenna) in {0, 2}, "two numbers of an antenna")
     _within(LARGEST, "an antenna", *message.antenna)
+    if message.fixes is not None:
+        _expect(len(message.fixes.antenna) == 2, "two numbers of an antenna")
+        _within(LARGEST, "an antenna", *message.fixes.antenna)
+        _texts(message.fixes.frame, message.fixes.topic)
+        _counts(message.fixes.dropped)
     if len(message.misread):
         _within(LATEST, "a stamp", *unpack(message.misread, 1)[0].tolist())
 
@@ -190,6 +195,11 @@ def _numbered(message: Rows | Scans | Radios | Closed) -> None:
     _names(message.robot)
     _texts(message.run)
     _expect(0 < message.seq <= MOST_MESSAGES, f"a number from 1 to {MOST_MESSAGES}")
+    if not isinstance(message, Closed):
+        fixes = unpack(message.fixes, 7)
+        _column(LATEST, "a stamp", fixes[0])
+        _column(LARGEST, "a place", fixes[1:4])
+        _column(MOST_VARIANCE, "a variance", fixes[4:])
     if isinstance(message, Rows):
         _rows(message)
     elif isinstance(message, Scans):

@@ -20,6 +20,7 @@ from ..landmarks.config import EkfSlamConfig
 from ..landmarks.landmark_map import LocalMap, Submap
 from ..landmarks.mapping import local_map, without_impossible
 from .door import MOST_NAMES, decode, expect_span
+from .fix_stream import FixRecord, cuts_of, fixes_of, packed, source_of
 from .messages import Closed, Header, Message, Numbered, RefusedError, Rows, Snapshot, pack, pack_triangle, unpack
 from .store import Store
 
@@ -48,6 +49,7 @@ def messages_of(log: LandmarkLog, robot: str, run: str, period: float) -> Iterat
             findings=[found.row() for found in log.findings],
             unused=[left.row() for left in log.unused],
             misread=pack(log.misread),
+            fixes=source_of(log.fixes),
         ),
     )
     o, s, d = log.odometry, log.sightings, log.bearings
@@ -55,9 +57,10 @@ def messages_of(log: LandmarkLog, robot: str, run: str, period: float) -> Iterat
     tables = (np.zeros(0) if o is None else o.t, s.t, d.t)
     ends = [[0, *np.searchsorted(stamps, cuts, side="right").tolist(), len(stamps)] for stamps in tables]
     seq = 0
-    for t, *packet in zip([*cuts.tolist(), end], *map(pairwise, ends), strict=True):
-        left = packet
-        while any(last > first for first, last in left):
+    fixed = pairwise(cuts_of(log.fixes, cuts))
+    for t, *packet, fix in zip([*cuts.tolist(), end], *map(pairwise, ends), fixed, strict=True):
+        left, fixes = packet, packed(log.fixes, *fix)
+        while fixes or any(last > first for first, last in left):
             driven, seen, directed = (slice(first, min(first + MOST_SIGHTINGS, last)) for first, last in left)
             seq += 1
             yield (
@@ -71,8 +74,10 @@ def messages_of(log: LandmarkLog, robot: str, run: str, period: float) -> Iterat
                     what=s.what[seen].tolist(),
                     bearings=pack(d.t[directed], d.bearing[directed]),
                     bearing_what=d.what[directed].tolist(),
+                    fixes=fixes,
                 ),
             )
+            fixes = b""
             left = [(done.stop, last) for done, (_, last) in zip((driven, seen, directed), left, strict=True)]
     yield end, Closed(robot=robot, run=run, seq=seq + 1)
 
@@ -86,6 +91,7 @@ class Part:
     what: Int[np.ndarray, " n"]
     bearings: Float[np.ndarray, "2 k"]
     bearing_what: Int[np.ndarray, " k"]
+    fixes: Float[np.ndarray, "7 f"]
 
     @property
     def end(self) -> float | None:
@@ -113,8 +119,10 @@ class LandmarkRecord:
     _first: float = np.nan
     _named: set[str] = field(init=False)
     _bearing_named: set[str] = field(init=False)
+    _fixes: FixRecord = field(init=False)
 
     def __post_init__(self) -> None:
+        self._fixes = FixRecord(self.header.fixes)
         self._named, self._bearing_named = set(self.names), set(self.bearing_names)
 
     @classmethod
@@ -153,7 +161,7 @@ class LandmarkRecord:
         self._driven = float(drive[0, -1]) if drive.shape[1] else self._driven
         self._seen = float(seen[0, -1]) if seen.shape[1] else self._seen
         self._directed = float(bearings[0, -1]) if bearings.shape[1] else self._directed
-        part = Part(drive, seen, what, bearings, bearing_what)
+        part = Part(drive, seen, what, bearings, bearing_what, self._fixes.add(message.fixes))
         if self.keep:
             self.parts.append(part)
         return part
@@ -196,6 +204,7 @@ class LandmarkRecord:
             bearings=directed if self.bearing_names else NOTHING_SEEN,
             misread=unpack(h.misread, 1)[0],
             unused=tuple(map(unused_of, h.unused)),
+            fixes=fixes_of(h.fixes, [part.fixes for part in parts]),
         )
 
 

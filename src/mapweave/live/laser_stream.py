@@ -1,7 +1,7 @@
 """A laser log as numbered messages, and numbered messages as a laser log: the same scans, to the bit."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,6 +11,7 @@ from ..core.findings import finding_of, unused_of
 from ..core.laser_log import LaserLog
 from ..core.records import Scan, Track, frozen
 from .door import expect_span, expect_steps
+from .fix_stream import FixRecord, cuts_of, fixes_of, joined_fixes, packed, source_of
 from .messages import LARGEST, Closed, Header, Numbered, RefusedError, ScanBeams, Scans, pack, squeeze, stretch, unpack
 
 MOST_AT_ONCE = 200_000  # beams of the scans in one message; a packet of more is split
@@ -37,13 +38,15 @@ def messages_of_laser(log: LaserLog, robot: str, run: str, period: float) -> Ite
             findings=[found.row() for found in log.findings],
             unused=[left.row() for left in log.unused],
             sweep=log.sweep,
+            fixes=source_of(log.fixes),
         ),
     )
     cuts = np.arange(begin + period, end, period)
     seen = [0, *np.searchsorted(log.scan_t, cuts, side="right").tolist(), len(log.scans)]
     driven = [0] * len(seen) if o is None else [0, *np.searchsorted(o.t, cuts, side="right").tolist(), len(o.t)]
-    seq = 0
-    for t, (a, b), (c, d) in zip([*cuts.tolist(), end], pairwise(seen), pairwise(driven), strict=True):
+    seq, fixed = 0, cuts_of(log.fixes, cuts)
+    for t, (a, b), (c, d), (e, f) in zip([*cuts.tolist(), end], *map(pairwise, (seen, driven, fixed)), strict=True):
+        fixes = packed(log.fixes, e, f)
         track = pack(o.t[c:d], *o.pose[c:d].T) if o is not None and d > c else b""
         batch: list[ScanBeams] = []
         size = told = 0
@@ -54,11 +57,11 @@ def messages_of_laser(log: LaserLog, robot: str, run: str, period: float) -> Ite
             told += beams.n
             if size > MOST_BYTES or told > MOST_AT_ONCE:
                 seq += 1
-                yield t, Scans(robot=robot, run=run, seq=seq, track=track, scans=batch)
-                track, batch, size, told = b"", [], 0, 0
-        if batch or track:
+                yield t, Scans(robot=robot, run=run, seq=seq, track=track, scans=batch, fixes=fixes)
+                track, fixes, batch, size, told = b"", b"", [], 0, 0
+        if batch or track or fixes:
             seq += 1
-            yield t, Scans(robot=robot, run=run, seq=seq, track=track, scans=batch)
+            yield t, Scans(robot=robot, run=run, seq=seq, track=track, scans=batch, fixes=fixes)
     yield end, Closed(robot=robot, run=run, seq=seq + 1)
 
 
@@ -115,6 +118,10 @@ class LaserRecord:
     _light: bool | None = None
     _row: tuple[float, ...] | None = None  # t, x, y of the last row of odometry
     _at: tuple[float, ...] | None = None  # the same of the last scan
+    _fixes: FixRecord = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._fixes = FixRecord(self.header.fixes)
 
     def add(self, message: Numbered) -> LaserLog | None:
         """Its scans and odometry as a log of their own; raises RefusedError when they can't be this robot's."""
@@ -136,7 +143,8 @@ class LaserRecord:
         if track.shape[1]:
             self.driven = float(track[0, -1])
         self.scans += len(scans)
-        return _log(self.header, stamps, scans, track)
+        fixes = fixes_of(self.header.fixes, [self._fixes.add(message.fixes)])
+        return replace(_log(self.header, stamps, scans, track), fixes=fixes)
 
     def _expect(self, stamps: list[float], scans: list[Scan], track: Float[np.ndarray, "4 n"]) -> None:
         if any(later < earlier for earlier, later in pairwise([self.t, *stamps])):
@@ -175,12 +183,14 @@ def whole_log(header: Header, parts: Iterable[LaserLog]) -> LaserLog:
     stamps: list[float] = []
     scans: list[Scan] = []
     rows = [np.zeros((4, 0))]
+    fixes = []
     for part in parts:
         stamps += part.scan_t.tolist()
         scans += part.scans
         if part.odometry is not None:
             rows.append(np.vstack([part.odometry.t, part.odometry.pose.T]))
-    return _log(header, stamps, scans, np.concatenate(rows, axis=1))
+        fixes += [] if part.fixes is None else [part.fixes]
+    return replace(_log(header, stamps, scans, np.concatenate(rows, axis=1)), fixes=joined_fixes(header.fixes, fixes))
 
 
 def _log(h: Header, stamps: list[float], scans: list[Scan], rows: Float[np.ndarray, "4 n"]) -> LaserLog:

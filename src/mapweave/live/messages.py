@@ -35,6 +35,15 @@ class _Message(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     v: int = PROTOCOL
 
 
+class FixSource(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Of what a robot's position fixes are; see `core.fixes.Fixes`."""
+
+    frame: str
+    topic: str
+    antenna: Numbers
+    dropped: dict[str, int]
+
+
 class Header(_Message, tag="header", frozen=True):
     """The first message of a history: who tells it, and what its log is called by those who read it whole.
 
@@ -62,13 +71,15 @@ class Header(_Message, tag="header", frozen=True):
     misread: bytes = b""
     sweep: float = 0.0
     antenna: Numbers = ()
+    fixes: FixSource | None = None
 
 
 class Rows(_Message, tag="rows", frozen=True):
     """Rows of a landmark log that are later than those of all earlier messages.
 
     drive: columns t, v, w; seen: columns t, range, bearing; what: an index a sighting; names: put after those known;
-    bearings, bearing_what, bearing_names: the same of sightings that told no range, columns t, bearing.
+    bearings, bearing_what, bearing_names: the same of sightings that told no range, columns t, bearing; fixes: columns
+    t, three of the place, variances xx, xy, yy [m^2] of east and north, xx below 0 where the log has none.
     """
 
     robot: str
@@ -81,6 +92,7 @@ class Rows(_Message, tag="rows", frozen=True):
     bearings: bytes = b""
     bearing_what: list[int] = []
     bearing_names: list[str] = []
+    fixes: bytes = b""
 
 
 class ScanBeams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -103,20 +115,23 @@ class ScanBeams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 class Scans(_Message, tag="scans", frozen=True):
-    """Scans and odometry of a laser, later than those of all earlier messages. track: columns t, x, y, theta."""
+    """Scans and odometry of a laser, later than those of all earlier messages. track: columns t, x, y, theta; fixes: as
+    of `Rows`.
+    """
 
     robot: str
     run: str
     seq: int
     scans: list[ScanBeams] = []
     track: bytes = b""
+    fixes: bytes = b""
 
 
 class Radios(_Message, tag="radios", frozen=True):
     """Odometry and ranges of a robot, later than those of all earlier messages.
 
     track: columns t, x, y, theta; told: columns t, range; whom: an index a range, whom to; theirs: rows of `told` that
-    the other end measured.
+    the other end measured; fixes: as of `Rows`.
     """
 
     robot: str
@@ -126,6 +141,7 @@ class Radios(_Message, tag="radios", frozen=True):
     told: bytes = b""
     whom: list[int] = []
     theirs: list[int] = []
+    fixes: bytes = b""
 
 
 class Closed(_Message, tag="closed", frozen=True):

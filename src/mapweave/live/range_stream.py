@@ -17,6 +17,7 @@ from ..core.records import Track
 from ..ranges.estimate import PlacedPart, estimate
 from ..ranges.network import NO_NUMBER, RangeLog, RangeNetwork, network_of, steps
 from .door import expect_span, expect_steps
+from .fix_stream import FixRecord, cuts_of, fixes_of, packed, source_of
 from .landmark_stream import indexed
 from .messages import Closed, Header, LandmarkState, Message, Numbered, Radios, RefusedError, pack, unpack
 from .weaving import Placed
@@ -105,6 +106,7 @@ def messages_of_ranges(log: RangeLog, robot: str, run: str, period: float) -> It
             log_hash=log.log_hash,
             names=list(log.names),
             antenna=() if antenna is None else tuple(antenna.tolist()),
+            fixes=source_of(log.fixes.get(name)),
             dropped=dict(dropped),
             findings=[found.row() for found in log.findings],
             unused=[left.row() for left in log.unused],
@@ -112,11 +114,13 @@ def messages_of_ranges(log: RangeLog, robot: str, run: str, period: float) -> It
     )
     cuts = np.arange(begin + period, end, period)
     told = [[0, *np.searchsorted(stamps, cuts, side="right").tolist(), len(stamps)] for stamps in (track.t, t)]
+    told.append(cuts_of(log.fixes.get(name), cuts))
     seq = 0
-    for now, (c, d), (e, f) in zip([*cuts.tolist(), end], *map(pairwise, told), strict=True):
+    for now, (c, d), (e, f), (g, h) in zip([*cuts.tolist(), end], *map(pairwise, told), strict=True):
         for k in range(e, max(f, e + 1), MOST_RANGES):
             rows, driven = slice(k, min(k + MOST_RANGES, f)), slice(c, d if k == e else c)
-            if rows.start < rows.stop or driven.start < driven.stop:
+            fixes = packed(log.fixes.get(name), g, h if k == e else g)
+            if rows.start < rows.stop or driven.start < driven.stop or fixes:
                 seq += 1
                 yield (
                     now,
@@ -128,6 +132,7 @@ def messages_of_ranges(log: RangeLog, robot: str, run: str, period: float) -> It
                         told=pack(t[rows], z[rows]),
                         whom=whom[rows].tolist(),
                         theirs=np.flatnonzero(a[rows] != mine).tolist(),
+                        fixes=fixes,
                     ),
                 )
     yield end, Closed(robot=robot, run=run, seq=seq + 1)
@@ -141,6 +146,7 @@ class RadioPart:
     told: Float[np.ndarray, "2 k"]
     a: np.ndarray
     b: np.ndarray
+    fixes: Float[np.ndarray, "7 f"]
 
 
 @dataclass(slots=True)
@@ -155,8 +161,10 @@ class RangeRecord:
     _at: tuple[float, ...] | None = None  # t, x, y of the last row of odometry
     _names: set[str] = field(init=False)
     _mine: int = field(init=False)
+    _fixes: FixRecord = field(init=False)
 
     def __post_init__(self) -> None:
+        self._fixes = FixRecord(self.header.fixes)
         self._names = set(self.header.names)
         if self.header.log_robot not in self._names or not self.header.odometry:
             raise RefusedError("malformed", "a ranging robot without its own name or odometry")
@@ -185,7 +193,8 @@ class RangeRecord:
         self._ranged = float(told[0, -1]) if told.shape[1] else self._ranged
         theirs = np.isin(np.arange(len(whom)), message.theirs)
         mine = np.full(len(whom), self._mine)
-        return RadioPart(track, told, np.where(theirs, whom, mine), np.where(theirs, mine, whom))
+        fixes = self._fixes.add(message.fixes)
+        return RadioPart(track, told, np.where(theirs, whom, mine), np.where(theirs, mine, whom), fixes)
 
 
 def ranges_told(messages: Iterable[Message]) -> RangeLog | None:
@@ -203,6 +212,7 @@ def ranges_told(messages: Iterable[Message]) -> RangeLog | None:
     h = record.header
     track = np.concatenate([part.track for part in parts], axis=1)
     t, z = np.concatenate([part.told for part in parts], axis=1)
+    fixes = fixes_of(h.fixes, [part.fixes for part in parts])
     return RangeLog(
         {h.log_robot: Track(track[0], np.ascontiguousarray(track[1:].T), frame="odom")},
         tuple(h.names),
@@ -211,6 +221,7 @@ def ranges_told(messages: Iterable[Message]) -> RangeLog | None:
         t,
         z,
         antennas={h.log_robot: np.array(h.antenna)} if h.antenna else {},
+        fixes={} if fixes is None else {h.log_robot: fixes},
         dropped=dict(h.dropped),
         source=h.source,
         log_hash=h.log_hash,
