@@ -17,6 +17,7 @@ from mapweave.ranges.factors import RadioColumns, lasting, motion_factor, range_
 from mapweave.ranges.network import Motions, RangeLog, RangeNetwork, Ranges, bodies_of, network_of
 from mapweave.ranges.noise import RadioNoise, unlikely
 from mapweave.ranges.start import lay_out, placements
+from mapweave.sim.mixed_team import MixedWorld, simulate_mixed
 
 from ..differences import assert_derivative
 from .worlds import BIAS, LINE, SQUARE, STILL, driven, log_of, ranged
@@ -120,6 +121,13 @@ def test_stamps_that_are_rounded_are_told_by_ranges_that_err_the_more_the_faster
     found = estimate(net)
     assert found.jitter == pytest.approx(np.sqrt(1 / 12), rel=0.4)
     assert max(misses(net, found, truth, BEACONS).values()) < 0.1
+
+
+def test_stamps_that_slow_robots_tell_little_of_are_not_held_where_they_were():
+    log = log_of(simulate_mixed(MixedWorld(ranges=True, beacons=3, lasers=3, bearings=0, cameras=0, minutes=1.5), 105))
+    late = estimate(network_of(replace(log, t=log.t + 0.3))).clocks
+    assert [told.lag for told, _ in late.values()] == pytest.approx([0.3] * 3, abs=0.1)
+    assert max(abs(told.lag) for told, _ in estimate(network_of(log)).clocks.values()) < 0.08
 
 
 def test_odometry_that_slips_for_long_counts_less_then_and_bends_nobody():

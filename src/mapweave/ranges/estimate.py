@@ -57,7 +57,7 @@ BIAS_SD = 0.3  # [m] of what the biases of all pairs have in common: antennas wh
 SPREAD = 0.15  # [m] of the biases beside what they have in common, before they tell it
 FEW = 3  # pairs that tell it, at least
 GROWTH, GROWS_APART = 0.1, 0.02  # [m] sd by which biases grow over a log, all alike and beside, before ranges tell it
-LAG = 0.05  # [s] sd by which stamps of ranges are later than a robot's odometry, and of its growth, before they do
+LAG = 0.05  # [s] sd, at least, by which stamps of ranges are later than robots' odometry, and of how that grows
 SETTLED, MORE = 1.25, 8  # times its factor changes at which that goes on, so often at most
 ANY_HEADING = 2.0  # [rad] sd of a heading that nothing tells
 WIDE = Cauchy(2.0)  # while the noise is still a guess
@@ -541,7 +541,7 @@ def _solved(
     terms = [*held, *entry.beforehand()]
     if len(begins):  # the heading of one that stands is anything, and the problem stays regular
         terms.append(number_factor(3 * begins + 2, x[3 * begins + 2], ANY_HEADING, "headings"))
-    spread, pattern = (SHRUNK if np.isfinite(r.sd).all() else SPREAD), None
+    spread, apart, pattern = (SHRUNK if np.isfinite(r.sd).all() else SPREAD), entry.apart(x, None), None
     noise, x[entry.biases] = _known(net, None if sights is None else known, names, rows)
     ordered, laid, P, loose = _order(fixed, beacon), None, None, _known_slips(net, known)[here]
     rounds = list(ROUNDS if sights is None else AGAIN)
@@ -551,7 +551,7 @@ def _solved(
             sd[noise.far] *= LEFT_OUT
         ranges = range_factor(r, radio, sd, kernel)
         steps = [motion_factor(replace(moved, cov=moved.cov * loose[:, None, None] ** 2))] if len(here) else []
-        every = [*steps, *terms, ranges, common_factor(entry.biases, entry.common, spread)]
+        every = [*steps, *terms, entry.clocks(apart), ranges, common_factor(entry.biases, entry.common, spread)]
         if sights is None:
             problem = Problem(x, every, fixed, wrapping(3 * np.arange(n) + 2))
             pattern = pattern or ordered(Pattern.of(problem))
@@ -565,6 +565,7 @@ def _solved(
         P = None if solution.information is None else solution.covariance(np.arange(3 * n, len(x)))
         if P is not None and entry.pairs >= FEW:
             spread = spread_of(x[entry.biases] - x[entry.common], P[: entry.pairs + 1, : entry.pairs + 1])
+        apart = entry.apart(x, P)
         then, off = radio.known(x, r)
         noise = RadioNoise.of(r, which, entry.pairs, r.z - geometry(then, pose)[0] - off, np.add(*closing(then, pose)))
         if steps and P is not None and known is not None and sights is None:
@@ -572,12 +573,11 @@ def _solved(
             if k + 1 == len(rounds) < len(ROUNDS) + MORE and np.abs(np.log(loose / was)).max() > np.log(SETTLED):
                 rounds.append(None)
     unknown = np.stack([x[3 * n :], np.full(entry.more, np.nan) if P is None else np.sqrt(np.diag(P))])
-    unknown = np.delete(unknown, entry.pairs, axis=1)
     slipping = np.ones(len(m.first))
     slipping[here] = was
     return _Solved(
         net, nodes, rows, names, which, first, ~bodies.turns[of] & (len(heads) > 1 or sights is not None),
-        pose, unknown, noise, slipping, solution, laid,
+        pose, np.delete(unknown, entry.pairs, axis=1), noise, slipping, solution, laid,
         cost=solution.cost - float(np.square(noise.residual / sd).sum()) + unlikely(noise, r, which)
         + 6.0 * float(np.log(was).sum()),
     )  # fmt: skip
@@ -638,12 +638,28 @@ class _Entries:
         lags, drifts = self.lags, self.drifts
         return RadioColumns(self.biases[which], self.growths[which], lags[a], drifts[a], lags[b], drifts[b])
 
+    def clocks(self, sd: Float[np.ndarray, " e"]) -> Factor:
+        """That everybody's clock is apart by about `sd` [s], amid the log as from end to end."""
+        at = np.append(self.lags, self.drifts)
+        unit, white = np.ones((len(at), 1, 1)), np.tile(1.0 / sd, 2)[:, None]
+        return Factor(at[:, None], lambda x: x[at][:, None], lambda _: unit, 1, white, None, "clocks")
+
+    def apart(self, x: Float[np.ndarray, " m"], P: Float[np.ndarray, "q q"] | None) -> Float[np.ndarray, " e"]:
+        """[s] by which everybody's clock is apart, about, as `x` has it, `LAG` at least; P: covariance but of poses.
+
+        An empirical prior: one of `LAG` for all would hold clocks that ranges tell little of, and be sure of it.
+        """
+        if P is None:
+            return np.full(self.everybody, LAG)
+        square = np.square(x[3 * self.n :]) + np.diag(P)
+        lags, drifts = square[self.lags - 3 * self.n], square[self.drifts - 3 * self.n]
+        return np.asarray(np.sqrt(np.maximum(LAG**2, 0.5 * (lags + drifts))))
+
     def beforehand(self) -> list[Factor]:
         """What is known of all that before any range."""
         told = ((self.common, BIAS_SD, "common bias"), (self.common + 1 + self.pairs, GROWTH, "common growth"))
-        clocks = number_factor(np.append(self.lags, self.drifts), np.zeros(2 * self.everybody), LAG, "clocks")
         alike = common_factor(self.growths, self.common + 1 + self.pairs, GROWS_APART)
-        return [clocks, alike, *(number_factor(np.array([at]), np.zeros(1), sd, name) for at, sd, name in told)]
+        return [alike, *(number_factor(np.array([at]), np.zeros(1), sd, name) for at, sd, name in told)]
 
 
 def _fixed(
