@@ -93,7 +93,7 @@ def test_rows_of_a_second_logger_whose_clock_is_behind_are_kept():
 
 
 def test_of_stamps_nearly_all_of_which_are_one_the_others_tell_no_time_either():
-    """As where a clock passed zero and seconds were written to six digits: the log was spread over 30,000 years."""
+    """As where a clock passed zero and seconds were written to six digits: the log was spread over 60,000 years."""
     wrapped = np.full(200, 4.29497e9)
     wrapped[:4] = -0.446, -0.913, -1.343, -1.82
     log = raw(wrapped, np.append(wrapped, -30.0)).finish()
