@@ -57,6 +57,39 @@ def test_without_odometry_messages_the_odometry_comes_from_tf(tmp_path, name):
     assert not log.has_intensity
 
 
+def test_the_odometry_of_tf_is_read_though_no_transform_places_the_scanner(tmp_path):
+    out = Recording(tmp_path / "a.bag")
+    for k in range(20):
+        out.tf(5 + 0.1 * k, "odom", "base_link", x=0.2 * k)
+        out.tf(5 + 0.1 * k, "base_link", "wheel", y=0.2, yaw=0.1 * k)
+        out.scan(5 + 0.1 * k, wall(k))
+    log = read_laser(out.write())
+    assert log.odometry_from == "tf"
+    assert np.allclose(log.scans[4].odometry, [0.8, 0, 0])
+    assert any("no transform from base_link to laser" in w for w in log.warnings)
+
+
+def test_of_two_odometries_of_tf_none_is_that_of_a_scanner_no_transform_places(tmp_path):
+    out = Recording(tmp_path / "a.bag")
+    for k in range(20):
+        out.tf(5 + 0.1 * k, "r1/odom", "r1/base", x=0.2 * k)
+        out.tf(5 + 0.1 * k, "r2/odom", "r2/base", x=0.1 * k)
+        out.scan(5 + 0.1 * k, wall(k))
+    assert read_laser(out.write()).odometry is None
+
+
+def test_a_frame_that_travels_under_that_of_the_odometry_is_where_the_robot_is(tmp_path):
+    out = Recording(tmp_path / "a.mcap")
+    for k in range(20):
+        out.tf(5 + 0.1 * k, "odom", "base_footprint", x=1.0, yaw=np.pi / 2)
+        out.tf(5 + 0.1 * k, "base_footprint", "base_link", x=0.2 * k)
+        out.tf(5 + 0.1 * k, "base_link", "laser", x=0.1, yaw=0.02 * k)
+        out.scan(5 + 0.1 * k, wall(k))
+    log = read_laser(out.write())
+    assert np.allclose(log.scans[4].odometry, [1.0, 0.8, np.pi / 2])
+    assert np.allclose(log.scans[4].T_robot_sensor, [0.1, 0, 0])
+
+
 def test_a_recording_without_odometry_is_read_and_says_so(tmp_path):
     out = Recording(tmp_path / "a.mcap")
     for k in range(5):
@@ -80,9 +113,7 @@ def test_a_topic_that_is_not_there_is_told_with_those_that_are(tmp_path):
         read_laser(path, "1", LaserSource(odom_topic="/wheels"))
     out = Recording(tmp_path / "b.db3")
     out.text(1.0)
-    with pytest.raises(
-        ReaderError, match=r"no LaserScan or PointCloud2 topic; there are /chatter \(std_msgs/msg/String, 1 messages\)"
-    ):
+    with pytest.raises(ReaderError, match=r"no message of LaserScan or PointCloud2; there are /chatter"):
         read_laser(out.write())
 
 

@@ -72,6 +72,36 @@ def test_stamps_that_are_zero_now_and_then_are_bridged():
     np.testing.assert_allclose(mended_stamps(holes, NEW).t, T, atol=1e-6)
 
 
+@pytest.mark.parametrize("junk", [0.0, -5.0, "any"])
+def test_odometry_rows_without_a_stamp_between_others_are_left_out_and_counted(junk):
+    """As of programs that write a row after each scan and never set its stamp: the trajectory began at 0 s, far off."""
+    stamps = np.repeat(T, 2)
+    stamps[101::2] = np.random.default_rng(2).choice([0.0, 1e-48, 9.9], 150) if junk == "any" else junk
+    stamps[102] = stamps[101]  # two in a row
+    log = raw(T, stamps, own=False).finish()
+    assert log.dropped["odometry row whose time is not known"] == 151
+    assert told(log) == {}
+    assert log.odometry.t[0] == T[0]
+    np.testing.assert_allclose([s.odometry[0] for s in log.scans[60:]], 0.04 * np.arange(60, 200), atol=1e-9)
+
+
+def test_rows_of_a_second_logger_whose_clock_is_behind_are_kept():
+    both = np.column_stack([T, T + 0.1 - 60.0]).ravel()
+    log = raw(T, both).finish()
+    assert len(log.odometry.t) == len(np.unique(both))
+    assert told(log)["stamps-back"]["what"] == "odometry"
+
+
+def test_of_stamps_nearly_all_of_which_are_one_the_others_tell_no_time_either():
+    """As where a clock passed zero and seconds were written to six digits: the log was spread over 60,000 years."""
+    wrapped = np.full(200, 4.29497e9)
+    wrapped[:4] = -0.446, -0.913, -1.343, -1.82
+    log = raw(wrapped, np.append(wrapped, -30.0)).finish()
+    assert told(log)["stamps-equal"]["value"] == 195
+    np.testing.assert_allclose(np.diff(log.scan_t), 1.0)
+    assert log.odometry is None or np.isin(log.odometry.t, log.scan_t).all()
+
+
 def test_a_log_without_usable_stamps_is_read_whole_by_the_poses_that_its_scans_bear():
     log = raw(np.zeros(200), T).finish()
     assert len(log.scans) == 200

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mapweave.core.findings import Finding
 from mapweave.laser.beam import BeamConfig, beams, calibrate
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import choose_feature
@@ -57,6 +58,9 @@ def test_a_log_whose_intensity_says_nothing_is_used_without_it_and_says_so():
         assert [f.code for f in feature.findings] == ["light-unused"]
         assert said in feature.findings[0].text
     assert choose_feature(sim.log, LaserConfig(feature="none")).findings == ()
+    why = Finding("light-unused", value="all intensities are 47")
+    told = replace(with_light(lambda n: None), findings=(why,))  # by its reader, which left them out
+    assert choose_feature(told, LaserConfig()).findings == ()
 
 
 @pytest.mark.parametrize("law", [Reflectance(), Reflectance(falloff=2.6, exponent=0.6)], ids=["one law", "another law"])

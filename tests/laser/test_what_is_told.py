@@ -11,6 +11,7 @@ from mapweave.core.errors import DataError
 from mapweave.core.findings import verdict
 from mapweave.core.records import Track
 from mapweave.io.assemble import RawLog, RawScan
+from mapweave.laser.log_warnings import wheels_unlike
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import map_laser
 from mapweave.sim.laser_worlds import CorridorConfig, OfficeConfig, simulate_corridor, simulate_office
@@ -191,3 +192,14 @@ def test_a_corridor_along_which_nothing_but_scans_tells_the_way_is_told_and_that
     assert (told["slides-alone"].value < 2.0) == (seems == "to stand")
     assert verdict(told.values()) == "doubtful"
     assert "slides-alone" not in {f.code for f in map_laser(log, CFG, 0).findings}
+
+
+def test_a_short_way_that_the_wheels_tell_a_third_of_is_doubted():
+    """As a camera's narrow view slides along one wall while the robot turns about."""
+    t = 0.1 * np.arange(100)
+    swings = np.column_stack([np.zeros(100), 0.8 * np.sin(t), np.zeros(100)])
+    track = Track(t, swings)
+    said = wheels_unlike(track, Track(t, 0.25 * swings), "1")
+    assert [f.value for f in said] == [pytest.approx(4.0)]
+    assert wheels_unlike(track, Track(t, 0.4 * swings), "1") == ()
+    assert wheels_unlike(Track(t, 0.4 * swings), Track(t, 0.01 * swings), "1") == ()

@@ -12,9 +12,10 @@ from mapweave.laser.laser_map import GridMap, LaserMap, ScanRecords
 from mapweave.laser.pose_graph import PoseGraph
 from mapweave.laser.robot_graph import RobotGraph
 from mapweave.laser.robust_graph import RobustGraphConfig, solve_graph
+from mapweave.mapping import woven_map
 from mapweave.mapping.merge import MapClosure, Merge
 from mapweave.mapping.weave import Woven
-from mapweave.mapping.woven_map import DROPPED, woven_maps
+from mapweave.mapping.woven_map import DROPPED, contradictions, own_map, woven_maps
 
 N, EVERY = 21, 5  # stamps, and stamps between keyframes
 T = np.array([2.0, 1.0, 0.5])  # where robot 2's map lies in robot 1's
@@ -147,6 +148,19 @@ def test_closures_tell_what_was_believed_refused_and_dropped():
     assert (first.stamp_a, first.stamp_b) == (100.0, 100.0)
     assert np.allclose(first.at, [[0.0, 0.0], T[:2]], atol=1e-9)
     assert (first.score, first.second, first.share, first.nis) == (0.9, 0.4, 0.8, 1.0)
+
+
+def test_robots_are_asked_for_contradictions_where_the_map_has_them(monkeypatch):
+    maps = [robot("1"), robot("2")]
+    asked = []
+    monkeypatch.setattr(woven_map, "drawn_twice", lambda placed: asked.extend(placed) or iter(["told"]))
+    (made,) = woven_maps(maps, woven_of(maps), 0.1)
+    assert list(contradictions(maps, made)) == ["told"]
+    assert [m.robot for m in asked] == ["1", "2"]
+    assert np.concatenate([m.pose for m in asked]).tobytes() == made.graph.pose.tobytes()
+    asked.clear()
+    assert list(contradictions(maps, own_map(maps[0]))) == ["told"]
+    assert asked == []  # nobody: a robot alone tells what it contradicts of itself
 
 
 def test_a_robot_alone_keeps_its_own_map_and_the_component_of_most_robots_comes_first():

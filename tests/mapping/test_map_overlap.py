@@ -12,6 +12,7 @@ from mapweave.mapping.map_overlap import (
     VIEW_REACH,
     VIEW_THROUGH,
     KeyframeMap,
+    drawn_twice,
     seen_alike,
     wall_overlap,
 )
@@ -74,6 +75,21 @@ def test_a_wall_is_seen_or_seen_through_as_each_view_has_it():
     assert np.abs(gone - gone_here).sum() <= 2
     assert np.abs(bands[0] - seen_banded).sum() <= 4
     assert (bands[0].sum(axis=0) > 0).all()
+
+
+def test_two_robots_of_which_one_map_is_bent_are_told_and_those_of_right_maps_are_not():
+    """As of a robot whose way into the next room is wrong by ten degrees: the map drew that room's walls twice."""
+    made = office_pair(7, 0.9)
+    placed = se2.compose(made.transform, made.b.pose)
+    half = len(placed) // 2
+    turned = se2.compose(placed[half], np.array([0.0, 0.0, np.radians(10.0)]))
+    bent = np.concatenate([placed[:half], se2.compose(turned, se2.between(placed[half], placed[half:]))])
+    right, wrong = (KeyframeMap("2", pose, made.b.points) for pose in (placed, bent))
+    one = KeyframeMap("1", made.a.pose, made.a.points)
+    assert list(drawn_twice([one, right])) == []
+    (found,) = drawn_twice([one, wrong])
+    assert (found.code, found.robot, found.value["other"]) == ("walls-twice", "2", "robot1")
+    assert found.value["value"] > 5.0
 
 
 def room_seen(gone: float) -> KeyframeMap:

@@ -126,7 +126,12 @@ TOLD = {  # code of a finding: the cause that it is a sign of by itself
     "cut-disputed": "symmetry",
     "glass-seen": "glass",
 }
-WEAK = {"wheels-disagree": "slip", "way-bent": "symmetry", "walls-seen-through": "symmetry"}  # where nothing else shows
+WEAK = {  # where nothing else shows
+    "wheels-disagree": "slip",
+    "way-bent": "symmetry",
+    "walls-seen-through": "symmetry",
+    "walls-twice": "symmetry",
+}
 
 
 class Cause(NamedTuple):

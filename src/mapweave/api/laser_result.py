@@ -38,7 +38,7 @@ from ..mapping.merge_search import LEAST_ALIKE, MergeConfig, Start
 from ..mapping.redecide import redecided
 from ..mapping.segments import still_apart
 from ..mapping.weave import weave
-from ..mapping.woven_map import WovenMap, own_map, woven_maps
+from ..mapping.woven_map import WovenMap, contradictions, own_map, woven_maps
 from ..report.html import told_list
 from ..report.laser import robot_scene, write_laser_report
 from ..report.result import ResultBase, Rows
@@ -318,6 +318,7 @@ def woven_result(
         *placed.findings,
         *(found for m in merges for found in _told_of(m)),
         *copies_found([m.graph for m in stored if m.graph is not None], [woven.tracks for woven in components]),
+        *(found for woven in components for found in contradictions(stored, woven)),
         *(_apart(components) if merge else ()),
     ]
     metrics = laser_metrics(stored, seed, components, merges, timing, whole)

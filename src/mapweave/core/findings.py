@@ -74,6 +74,13 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "and over sills.",
             "Look for rooms that lie on each other in the map; give the parts of the log as logs of their own.",
         ),
+        "walls-twice": FindingKind(
+            "doubtful",
+            "it and {other} saw through {value:.0f} % of each other's walls in their map, over widths no door has",
+            "One of the two maps is bent, they were merged wrongly, or walls were moved between the drives: the map "
+            "draws walls twice.",
+            "Look at the two robots in the map; map them without each other, or say that they are apart (`edit`).",
+        ),
         "glass-seen": FindingKind(
             "note",
             "{value:.1f} m of walls are seen where they are hit squarely and seen through at a slant, as glass is",

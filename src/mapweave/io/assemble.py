@@ -29,6 +29,7 @@ from .scan_checks import (
     repeated,
     rows_by_scanner,
     scan_agreement,
+    stampless,
     unit_of_ranges,
     wheels_in_inches,
     without_false_returns,
@@ -84,6 +85,7 @@ LARGEST, LATEST = 1e9, 1e15  # [m or rad], [s]: what is more was never measured
 CLOSEST, WIDEST = 1e-6, 4 * np.pi  # [rad] from beam to beam, and of all beams: what is less, or more, no scanner has
 LONGEST_SWEEP = 10.0  # [s] of a scan: what takes longer is no scan
 UNSOUND = "scan with a stamp, pose or angle that none can have"
+UNTIMED = "odometry row whose time is not known"
 FEW = 0.05  # share of scans without intensities that are dropped rather than all intensities
 
 
@@ -249,12 +251,15 @@ class RawLog:
         self._tell_stamps("scans", mended, len(self.scans))
         unknown = any(m.what == "equal" for m in mended)  # nothing says which of the rows belong to a scan
         if wrong is not None and wrong.what == "back" and not mended:
+            if (without := stampless(rows[good, 0])).any():
+                self.dropped[UNTIMED] += int(without.sum())
+                self.odometry = [self.odometry[k] for k in np.flatnonzero(good)[~without].tolist()]
             return  # several loggers' rows in one file, as often: sorted
         if not len(rows) or (wrong is None and not unknown):
             return
         unknown |= wrong is not None and wrong.what == "equal"
         if unknown or wrong is None:
-            self.dropped["odometry row whose time is not known"] += len(rows)
+            self.dropped[UNTIMED] += len(rows)
             self.odometry = []
             if not own:
                 self.find("wheels-untimed", len(rows), "they are not used")

@@ -29,7 +29,8 @@ CHOOSE = "choose with --scan-topic and --odom-topic"
 class BagRobot:
     """One robot of a recording; its topics, the best first.
 
-    name: its namespace, empty where there is none; unclear: why its odometry cannot be told, empty where it can.
+    name: its namespace, empty where there is none; unclear: why its odometry cannot be told, empty where it can;
+    alone: whether the recording tells of no other.
     """
 
     name: str
@@ -39,6 +40,7 @@ class BagRobot:
     unclear: str = ""
     imu: tuple[str, ...] = ()
     fixes: tuple[str, ...] = ()
+    alone: bool = False
 
 
 @dataclass(slots=True)
@@ -69,7 +71,7 @@ def bag_robots(bag: Bag, sensors: Sequence[str] = ()) -> tuple[BagRobot, ...]:
     imu = [topic for topic in bag.topics(IMU) if bag.counts.get(topic)]
     fixes = [topic for topic in bag.topics(*FIXES) if bag.counts.get(topic)]
     if len(scans) <= 1 and len(odometry) <= 1:
-        only = BagRobot("", tuple(scans), tuple(odometry), tuple(tf), imu=tuple(imu), fixes=tuple(fixes))
+        only = BagRobot("", tuple(scans), tuple(odometry), tuple(tf), imu=tuple(imu), fixes=tuple(fixes), alone=True)
         return (only,) if scans else ()
     seen = _frames_and_transforms(bag, scans, odometry, tf)
     homes = {topic: _home(topic, (*odometry, *tf)) for topic in scans}
@@ -85,7 +87,7 @@ def bag_robots(bag: Bag, sensors: Sequence[str] = ()) -> tuple[BagRobot, ...]:
             for topics in (imu, fixes)
         )
         name = _name(group, home, rivals, seen)
-        robots.append(BagRobot(name, tuple(group), mine, tuple(trees[home]), unclear, own, told))
+        robots.append(BagRobot(name, tuple(group), mine, tuple(trees[home]), unclear, own, told, len(groups) == 1))
     names = [robot.name for robot in robots]
     robots = [replace(r, name=r.scans[0].strip("/")) if names.count(r.name) > 1 else r for r in robots]
     return tuple(sorted(robots, key=lambda robot: (in_order(robot.name), robot.scans)))
@@ -100,7 +102,7 @@ def choose_robot(bag: Bag, name: str | None, scan_topic: str | None, odom_topic:
     wheels = None if odom_topic is None else _topic(bag, odom_topic, (ODOMETRY, *TF), "odometry")
     robots = bag_robots(bag)
     if not robots:
-        raise ReaderError(bag.path, f"no LaserScan or PointCloud2 topic; there are {bag.listing() or 'no topics'}")
+        raise ReaderError(bag.path, f"no message of LaserScan or PointCloud2; there are {bag.listing() or 'no topics'}")
     if name is not None:
         robots = tuple(robot for robot in robots if robot.name == name)
     if scan is not None:

@@ -128,12 +128,19 @@ def _gathered(bag: Bag, chosen: BagRobot, raw: RawLog, fixes: Sequence[str]) -> 
 
 
 def _with_odometry_from_tf(seen: _Gathered, chosen: BagRobot, raw: RawLog) -> str:
-    """The robot's frame; `raw` has the odometry of tf where no message told any."""
-    edge = seen.tf.odometry_edge(seen.frames.get(chosen.scans[0], ""))
+    """The robot's frame; `raw` has the odometry of tf where no message told any.
+
+    That of the only robot of a recording is read also where no transform places its scanner.
+    """
+    above = ((topic, seen.tf.odometry_edge(seen.frames.get(topic, ""))) for topic in chosen.scans)
+    topic, edge = next((found for found in above if found[1] is not None), (chosen.scans[0], None))
+    if edge is None and chosen.alone:
+        edge = seen.tf.only_odometry_edge()
     if not raw.odometry and edge is not None and not (set(chosen.odometry[:1]) - set(chosen.tf)):
-        raw.odometry = [(t, *planar(transform)) for t, transform in seen.tf.seen[edge]]
+        way = seen.tf.travelled(edge, seen.frames.get(topic, ""))
+        raw.odometry = seen.tf.poses_along(way)
         raw.odometry_from = "tf"
-        return edge[1]
+        return way[-1][1]
     return seen.base.most_common(1)[0][0] if seen.base else (edge[1] if edge else "")
 
 

@@ -449,8 +449,10 @@ def _change(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " n"], off: Float[n
 
 
 SAME = 0.3  # share of rows that bear the stamp of the one before, from which stamps are equal or rounded
+ALIKE = 0.9  # share of rows of one stamp, of more it tells no time
 ENOUGH_ROWS = 20  # rows, of fewer nobody can say that their stamps are rounded
 LATE = 20  # rows by which one may be late and is sorted in
+A_FEW = 3  # rows after which stamps go on, at most, where some bear none
 AGAIN = 0.1  # by which a leap forward may differ from the one back that it takes back
 USUAL = 1.0  # [s] from row to row, where neither the log nor its other rows tell
 
@@ -474,8 +476,10 @@ def mended_stamps(
         return None
     d = np.diff(t)
     same = (d == 0) & other[1:]
-    if (t == t[0]).all():
-        return Mended(t[0] + _usual(d, step) * np.arange(len(t)), "equal", int(same.sum())) if same.any() else None
+    stamps, count = np.unique(t, return_counts=True)
+    most = float(stamps[count.argmax()])
+    if count.max() == len(t) or (len(t) >= ENOUGH_ROWS and count.max() > ALIKE * len(t)):
+        return Mended(most + _usual(d[:0], step) * np.arange(len(t)), "equal", int(same.sum())) if same.any() else None
     if np.abs(np.argsort(t, kind="stable") - np.arange(len(t))).max() > LATE:
         back = d < 0
         return Mended(
@@ -486,6 +490,20 @@ def mended_stamps(
     if len(t) < ENOUGH_ROWS or same.mean() < SAME:
         return None
     return Mended(_spread(np.maximum.accumulate(t), step), "rounded", int(same.sum()))
+
+
+def stampless(t: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Rows that bear no time, between others that do: a few, far behind those before, and no clock goes on in them.
+
+    A second logger's rows between those of a first may be far behind, and their stamps go on.
+    """
+    latest = np.append(t[0], np.maximum.accumulate(t)[:-1])
+    soon = np.lib.stride_tricks.sliding_window_view(np.append(t[1:], np.full(A_FEW, np.inf)), A_FEW).max(axis=1)
+    alone = (t < latest) & (soon >= latest)
+    others, before = t[~alone], np.cumsum(~alone)[alone]
+    alone[alone] = t[alone] < others[np.maximum(before - LATE, 0)]
+    goes_on = np.diff(t[alone]) > 0
+    return alone if 2 * goes_on.sum() <= len(goes_on) else np.zeros(len(t), bool)
 
 
 def _usual(d: Float[np.ndarray, " m"], step: float | None) -> float:

@@ -1,15 +1,18 @@
 """A tree of ROS frames: where the sensor stands on the robot, and which edge is the odometry."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
+from ..core import se2
 from ..core.se2 import heading_of_quaternion, is_upside_down
 
 FARTHEST = 1e9  # [m] that frames are apart: farther is a damaged message
 LARGEST_TURN = 2.0  # a number of a unit quaternion, with room for careless rounding
+TRAVELS = 0.5  # [m] seen from above that a frame moves on another: no mounting does
 Edge = tuple[str, str]  # parent, child
 Rigid = tuple[np.ndarray, np.ndarray]  # translation (3,), quaternion x y z w (4,)
 NOWHERE: Rigid = (np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))  # on the robot, turned as it is
@@ -55,6 +58,33 @@ class Transforms:
             if "odom" in edge[0].lower():
                 return edge
         return next((e for e in edges if "map" not in e[0].lower() and self.moves(e)), None)
+
+    def only_odometry_edge(self) -> Edge | None:
+        """The edge under a frame called like odometry where there is but one, whatever hangs below; else None."""
+        edges = [e for e in self.seen if "odom" in e[0].lower() and "odom" not in e[1].lower()]
+        return edges[0] if len(edges) == 1 else None
+
+    def travelled(self, edge: Edge, sensor: str) -> list[Edge]:
+        """`edge`, and those below it on the way to the sensor down to the last whose frame travels on its parent."""
+        line = self.chain(sensor)
+        if edge[1] not in line:
+            return [edge]
+        below = [(p, c) for c, p in pairwise(line[: line.index(edge[1]) + 1])][::-1]
+        last = max((k for k, e in enumerate(below, 1) if self._travels(e)), default=0)
+        return [edge, *below[:last]]
+
+    def poses_along(self, edges: Sequence[Edge]) -> list[tuple[float, float, float, float]]:
+        """Stamp and pose, seen from above, of the last child in the first parent, at the stamps of the last edge."""
+        rows = [np.array([(t, *planar(transform)) for t, transform in self.seen[edge]]) for edge in edges]
+        poses = rows[-1][:, 1:]
+        for above in reversed(rows[:-1]):
+            t, first = np.unique(above[:, 0], return_index=True)
+            poses = se2.compose(se2.interpolate(rows[-1][:, 0], t, above[first, 1:]), poses)
+        return [(t, x, y, a) for t, (x, y, a) in zip(rows[-1][:, 0].tolist(), poses.tolist(), strict=True)]
+
+    def _travels(self, edge: Edge) -> bool:
+        places = np.array([shift[:2] for _, (shift, _) in self.seen[edge]])
+        return bool(np.ptp(places, axis=0).max() > TRAVELS)
 
     def sensor_pose(self, robot: str, sensor: str) -> tuple[np.ndarray, bool] | None:
         """`T_robot_sensor` seen from above and whether the sensor hangs upside down; None where frames do not meet."""

@@ -71,8 +71,8 @@ MOST_UNMEASURED = 0.2  # share of returns without light, from which it is not us
 
 
 def choose_feature(log: LaserLog, cfg: LaserConfig) -> Feature:
-    """The feature asked for where the log's intensity allows it, else `none` with a finding."""
-    if cfg.feature == "none":
+    """The feature asked for where the log's intensity allows it, else `none` with a finding, once."""
+    if cfg.feature == "none" or any(f.code == "light-unused" for f in log.findings):
         return Feature("none", None)
     returns = [beams(scan, "none", None, cfg.beam) for scan in log.scans] if log.has_intensity else []
     if why := _no_light(returns):

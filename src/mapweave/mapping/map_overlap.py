@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 import scipy.sparse as sp
@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from ..core import se2
 from ..core.errors import DataError
 from ..core.findings import Finding
+from ..core.names import robot_name
 from ..core.records import freeze, frozen
 from ..core.rows import spread
 from ..kernels.laser.place_refine import fit_normals
@@ -34,6 +35,7 @@ SIDED = 0.2  # cosine from which on a wall was seen from that side
 OFTEN = 3  # views that show a wall, and that go through it: neither was somebody who walked by
 PATCH, BESIDE = 1.5, 0.45  # [m] wide at least are walls drawn twice, of points this near: doors and people are not
 SEEN_THROUGH = 0.015  # of the walls of a right map at most: 30 of 31 real ones have 0.011; 50 of 55 bent ones more
+WALLED = 0.97  # of what two robots of one map saw is alike, but for what is no patch: 0.99 and more in right maps
 TWICE = 2  # views that say something of a wall, from which on it counts in what a map says of itself
 ASKED = 60  # keyframes whose views are asked, at most,
 VIEWS = 200  # and of a map by itself
@@ -242,6 +244,15 @@ def _as_glass(seen: Int[np.ndarray, "w b"], gone: Int[np.ndarray, "w b"]) -> Boo
         passed, slipped = gone[:, least:].sum(axis=1), gone[:, :least].sum(axis=1)
         glass |= (square >= np.maximum(GLASS_SEEN, 2 * passed)) & (slipped >= np.maximum(GLASS_GONE, 2 * slant + 1))
     return glass
+
+
+def drawn_twice(maps: Sequence[KeyframeMap]) -> Iterator[Finding]:
+    """A finding for each two robots, their maps all in one frame, that saw through each other's walls, as wide."""
+    for one, other in combinations(maps, 2):
+        told = seen_alike(one, other, se2.IDENTITY)
+        if told.alike and told.walled < WALLED:
+            through = 100.0 * (1.0 - told.walled)
+            yield Finding("walls-twice", other.robot, None, {"other": robot_name(one.robot), "value": through})
 
 
 def lit_alike(a: KeyframeMap, b: KeyframeMap, transform: Float[np.ndarray, "3"]) -> float | None:

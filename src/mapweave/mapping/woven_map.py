@@ -1,6 +1,6 @@
 """Connected robots as one map: every robot's trajectory in one frame, one grid, one graph, all closures."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..core import se2
+from ..core.findings import Finding
 from ..core.fixes import place_of
 from ..core.records import Track, freeze
 from ..laser.beam import IntensityCalibration
@@ -17,6 +18,7 @@ from ..laser.pose_graph import PoseGraph
 from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import blended
 from .laser_mapping import between_keyframes
+from .map_overlap import VIEWS, KeyframeMap, drawn_twice
 from .merge import Merge
 from .weave import Woven
 
@@ -146,6 +148,17 @@ def woven_maps(maps: Sequence[LaserMap], woven: Woven, resolution: float, unsure
         else _component(group, maps, poses, woven, offset, rows.get(n, ()), resolution, unsure)
         for n, group in enumerate(groups)
     )
+
+
+def contradictions(maps: Sequence[LaserMap], woven: WovenMap) -> Iterator[Finding]:
+    """A finding for each two robots of a component that saw through each other's walls where these stand in it."""
+    graphs = {m.robot: _graph(m) for m in maps if m.graph is not None}
+    together = woven.robots if len(woven.robots) > 1 else ()
+    placed = []
+    for k, robot in enumerate(together):
+        points = [graphs[robot].points[graphs[robot].rows(i)] for i in range(len(graphs[robot]))]
+        placed += [KeyframeMap(robot, woven.graph.pose[woven.owner == k], points, asked=VIEWS)] if points else []
+    return drawn_twice(placed)
 
 
 def own_map(local_map: LaserMap) -> WovenMap:
