@@ -8,7 +8,7 @@ from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast, runtime_checkable
 
-from ..core.paths import path_of
+from ..core.paths import checked_arguments
 from ..core.signatures import readable
 from ..io.directory import result_directory
 from ..io.saved_result import write_result
@@ -74,12 +74,13 @@ class ResultBase(ABC):
         """What came out, in a few lines for people."""
         return "\n".join(self.lines())
 
+    @checked_arguments
     def write(self, folder: Path | str, *, force: bool = False) -> None:
         """The folder that the command writes: an earlier result there is replaced whole.
 
         Raises UsageError when something other than a result stands there, unless `force`.
         """
-        with result_directory(path_of(folder, "folder"), force=force) as work:
+        with result_directory(Path(folder), force=force) as work:
             self.write_into(work)
             self.finish(work)
 
