@@ -314,5 +314,5 @@ def test_laser_results_are_not_fused_with_landmarks_nor_with_options_of_theirs(s
     assert not (tmp_path / "out").exists()
     with pytest.raises(UsageError, match="--weights: only for landmark results"):
         mapweave.fuse([sessions / "first", sessions / "both"], weights="full")
-    with pytest.raises(ReaderError, match="no such folder"):
+    with pytest.raises(ReaderError, match="no such file or folder"):
         mapweave.fuse([sessions / "first", tmp_path / "nowhere"])

@@ -361,7 +361,7 @@ def simulate_swarm(out: Path | str | None = None, scene: SwarmScene | None = Non
 
 def _table(out: Path | str) -> Path:
     path = Path(out)
-    if path.is_dir() or not path.suffix:
+    if path.is_dir() or path.suffix.lower() not in {".csv", ".parquet", ".pq"}:
         raise UsageError(f"--out {path}: expected a file name such as swarm.csv or swarm.parquet")
     return path
 

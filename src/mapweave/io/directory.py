@@ -173,9 +173,9 @@ def plain(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
-def no_result(folder: Path) -> ReaderError:
-    """What is said of a folder without a result."""
-    there = "expected a mapweave result with metrics.json, found none"
+def no_result(folder: Path, expected: str = "a mapweave result with metrics.json") -> ReaderError:
+    """What is said of a folder without a result, or without what was expected of it."""
+    there = f"expected {expected}, found none"
     return ReaderError(folder, there if folder.exists() else "no such file or folder")
 
 
