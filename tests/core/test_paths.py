@@ -36,12 +36,17 @@ def test_an_argument_of_another_kind_is_refused_by_its_name(name, given):
         ("explore", "until", None),
         ("explore", "drop", "0.1"),
         ("simulate_landmarks", "minutes", "5"),
+        ("simulate_landmarks", "robots", True),
+        ("simulate_team", "calibration", []),
+        ("configuration", "job", {}),
+        ("read", "laser", {"no_loops": True}),
+        ("live_view", "port", "8642"),
     ],
 )
 def test_every_verb_refuses_arguments_of_another_kind_by_name(verb, name, given, tmp_path):
-    first = tmp_path / "team" if verb.startswith("simulate") else "yuan" if verb == "explore" else "nowhere"
+    first = [tmp_path / "team"] if verb.startswith("simulate") else ["yuan"] if verb == "explore" else ["nowhere"]
     with pytest.raises(UsageError, match=rf"^{name}: expected .+, found {kind_of(given)}$"):
-        getattr(mapweave, verb)(first, **{name: given})
+        getattr(mapweave, verb)(*(first if verb in {"map", "explore", "read"} else []), **{name: given})
 
 
 @pytest.mark.parametrize(
@@ -61,6 +66,14 @@ def test_a_result_that_is_not_there_is_not_said_to_lack_its_metrics(tmp_path):
     for verb in (mapweave.load, mapweave.view, mapweave.doctor, lambda p: mapweave.evaluate(p, truth="b.tum")):
         with pytest.raises(mapweave.ReaderError, match="no such file or folder"):
             verb(tmp_path / "a.tum")
+
+
+def test_a_seed_below_0_is_refused_by_every_verb(tmp_path):
+    for verb, first in (("map", "nowhere"), ("explore", "yuan"), ("simulate_swarm", None), ("localize", "nowhere")):
+        with pytest.raises(UsageError, match=r"^--seed: expected 0 or more, found -1$"):
+            getattr(mapweave, verb)(first, seed=-1, **({"map": tmp_path} if verb == "localize" else {}))
+    with pytest.raises(UsageError, match=r"--share of robot 1 must be in .*, found None"):
+        mapweave.map("nowhere", share={1: None})
 
 
 def test_numbers_and_truth_values_of_numpy_are_taken():

@@ -11,7 +11,7 @@ from operator import is_
 from os import PathLike
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, ClassVar, ParamSpec, Protocol, TypeVar, Union, get_args, get_origin, runtime_checkable
+from typing import Any, ClassVar, Literal, ParamSpec, Protocol, TypeVar, Union, get_args, get_origin, runtime_checkable
 
 from .errors import MapweaveError, UsageError
 from .signatures import with_common
@@ -83,10 +83,15 @@ class _Expected:
             kinds = (str, PathLike, Mapping, IsConfig, NoneType)
             return cls(kinds, "a TOML file, its tables or an object of settings", sequence=False, truth=False)
         union = get_origin(annotation) in {Union, UnionType}
-        parts = [get_origin(part) or part for part in (get_args(annotation) if union else (annotation,))]
+        given = get_args(annotation) if union else (annotation,)
+        parts = [part if get_origin(part) is Literal else get_origin(part) or part for part in given]
         taken: list[type] = []
         words: list[str] = []
         for part in parts:
+            if get_origin(part) is Literal:  # which of them it is the verb looks at itself
+                taken += [PLAIN[type(value)][0] for value in get_args(part)]
+                words += map(str, get_args(part))
+                continue
             if part is NoneType:
                 taken.append(NoneType)
             elif part in PLAIN:
@@ -107,7 +112,9 @@ class _Expected:
     def takes(self, given: object) -> bool:
         if self.sequence and isinstance(given, NO_SEQUENCE):
             return False
-        return isinstance(given, self.kinds) or (self.truth and kind_of(given) in TRUTHS)
+        if kind_of(given) in TRUTHS:  # no number
+            return self.truth
+        return isinstance(given, self.kinds)
 
 
 def _told_instead(name: str, each: Mapping[str, "_Expected | None"]) -> str:
@@ -168,6 +175,8 @@ def checked_arguments(verb: Callable[P, T]) -> Callable[P, T]:
                 raise UsageError(f"{name}: {verb.__name__} has no such option{_told_instead(name, each)}")
             if expected is not None and not expected.takes(given):
                 raise UsageError(f"{name}: expected {expected.words}, found {kind_of(given)}")
+            if name == "seed" and isinstance(given, Integral) and int(given) < 0:
+                raise UsageError(f"--seed: expected 0 or more, found {given}")
         named = [at_home(given, name) if name in paths else given for name, given in zip(names, args, strict=False)]
         options.update({name: at_home(given, name) for name, given in options.items() if name in paths})
         try:
