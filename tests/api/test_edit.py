@@ -6,6 +6,7 @@ import threading
 import urllib.error
 import urllib.request
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,15 +28,16 @@ def team(office_map, tmp_path_factory):
 
 
 @contextmanager
-def served(folder, **options):
+def served(folder, say=print, **options):
     """The address that the verb says it serves, until the block ends."""
     said, stop, told = [], threading.Event(), threading.Event()
 
-    def say(line):
+    def hear(line):
+        say(line)
         said.append(line.rsplit(" ", 1)[1])
         told.set()
 
-    asked = {"port": 0, "stop": stop, "say": say, **options}
+    asked = {"port": 0, "stop": stop, "say": hear, **options}
     thread = threading.Thread(target=mapweave.edit, args=(folder,), kwargs=asked)
     thread.start()
     try:
@@ -183,6 +185,35 @@ def test_editing_goes_on_from_the_file_it_saves_to_and_each_decision_in_it_can_b
     file.write_text(file.read_text().replace('"1" = "', '"1" = "0'))
     with pytest.raises(ReaderError, match="it is of another result"):
         mapweave.edit(team, decisions=file, port=0)
+
+
+def test_what_is_not_saved_when_it_ends_is_saved_beside_what_another_session_saved(team, tmp_path):
+    file, said = tmp_path / "said.toml", []
+    apart = {"place": 0, "part": 0, "decision": "apart"}
+    with served(team, decisions=file, say=said.append) as address:
+        with served(team, decisions=file) as other:
+            post(other, "decide", {"box": [0.0, 0.0, 1.0, 1.0], "cells": "free", "part": 0})
+        theirs = file.read_bytes()
+        post(address, "decide", apart)
+    assert file.read_bytes() == theirs
+    kept = Path(said[-1].partition("--decisions ")[2].partition(" goes on")[0])
+    assert kept.parent == file.parent
+    for begun in (kept, file):  # each goes on, and nothing is told where nothing is lost
+        with served(team, decisions=begun, say=said.append) as address:
+            again = post(address, "state", {})
+            assert (again["said"], again["places"][0]["said"]) == (1, "apart" if begun == kept else "")
+    assert [line for line in said if "saved" in line] == said[1:2]
+
+
+def test_decisions_whose_file_cannot_be_written_at_the_end_are_kept_elsewhere(team, tmp_path):
+    said = []
+    (tmp_path / "file").write_text("in the way")
+    with served(team, decisions=tmp_path / "file" / "said.toml", say=said.append) as address:
+        post(address, "decide", {"place": 0, "part": 0, "decision": "apart"})
+    kept = Path(said[-1].partition("--decisions ")[2].partition(" goes on")[0])
+    with served(team, decisions=kept) as address:
+        assert post(address, "state", {})["said"] == 1
+    shutil.rmtree(kept.parent)
 
 
 @pytest.mark.parametrize(

@@ -92,6 +92,12 @@ def test_a_robot_whose_log_has_become_longer_keeps_what_was_decided_on_it(logs, 
     whole = mapweave.map(logs[0], tmp_path / "whole", laser=LaserOptions(resume=tmp_path / "begun"))
     assert whole.said is not None
     assert [mask.cells for mask in whole.said.masks] == ["unknown"]
+    (tmp_path / "begun" / "result.npz").rename(tmp_path / "aside")  # a copy that is not whole loses nothing in silence
+    assert "result.npz: no such file: the result is not whole" in refused(tmp_path / "begun", logs)
+    file.unlink()
+    assert "decisions.toml: no such file: the result is not whole" in refused(tmp_path / "begun", logs)
+    with pytest.raises(ReaderError, match=r"decisions\.toml: no such file"):
+        mapweave.LaserSlam(resume=tmp_path / "begun")
     shutil.rmtree(tmp_path / "begun" / "state")
     with pytest.raises(DataError, match="the result is not whole, copy all of it"):
         mapweave.map(logs[1], laser=LaserOptions(resume=tmp_path / "begun"))
@@ -314,5 +320,5 @@ def test_laser_results_are_not_fused_with_landmarks_nor_with_options_of_theirs(s
     assert not (tmp_path / "out").exists()
     with pytest.raises(UsageError, match="--weights: only for landmark results"):
         mapweave.fuse([sessions / "first", sessions / "both"], weights="full")
-    with pytest.raises(ReaderError, match="no such folder"):
+    with pytest.raises(ReaderError, match="no such file or folder"):
         mapweave.fuse([sessions / "first", tmp_path / "nowhere"])

@@ -14,7 +14,7 @@ from mapweave.api import map_laser as lasers
 from mapweave.api.map import map as map_logs
 from mapweave.api.map_options import LaserOptions
 from mapweave.cli import _run
-from mapweave.core.errors import UsageError
+from mapweave.core.errors import MapweaveError, UsageError
 from mapweave.io.g2o import read_g2o
 from mapweave.io.laser_logs import read_laser
 from mapweave.io.laser_map import read_grid
@@ -245,7 +245,7 @@ def test_robots_that_were_mapped_before_the_run_broke_off_are_not_mapped_again(l
     monkeypatch.setattr(lasers, "map_laser", counted)
     monkeypatch.setattr(lasers, "laser_metrics", full)
     more = {"method": "gated", "share": {"1": 0.1, "2": 0.2}}
-    with pytest.raises(OSError, match="No space left") as told:
+    with pytest.raises(MapweaveError, match="disk: No space left") as told:
         map_logs([log, log], **more)
     assert told.value.__notes__ == ["2 finished parts are kept: the same command goes on from there"]
     assert mapped == ["1", "2"]

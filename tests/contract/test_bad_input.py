@@ -209,7 +209,7 @@ def test_interrupted_it_says_so_and_leaves_the_earlier_result(recording, tmp_pat
 def test_fusing_what_is_no_result_is_refused(tmp_path):
     (tmp_path / "empty").mkdir()
     assert "local maps" in refused(tmp_path, "fuse", tmp_path / "empty", "--out", tmp_path / "out")
-    assert "no such folder" in refused(tmp_path, "fuse", tmp_path / "nowhere", "--out", tmp_path / "out")
+    assert "no such file or folder" in refused(tmp_path, "fuse", tmp_path / "nowhere", "--out", tmp_path / "out")
 
 
 def test_a_damaged_local_map_is_named(recording, tmp_path):

@@ -32,6 +32,7 @@ def written(tmp_path, text, name="some.log"):
         ("1 2 3\n4 5 6\n", "MRCLAM"),
         ("VERTEX_SE2 1 2 3 4\n", "a pose graph"),
         ("1 2 3 0 0 0 0 1\n", "a trajectory"),
+        ("observer,target,bearing\n1,2,0.5\n", "a swarm"),
     ],
 )
 def test_the_nearest_format_is_that_of_the_same_words_or_shape(text, first):
@@ -53,6 +54,20 @@ def test_the_error_names_the_file_how_it_begins_and_what_three_formats_need(tmp_
     assert text.isprintable()
     assert "third" not in text
     assert len(text) - len(str(path)) < 700
+
+
+def test_what_is_taken_for_a_log_or_a_map_is_told_for_what_it_is(tmp_path):
+    (tmp_path / "result").mkdir()
+    (tmp_path / "result" / "metrics.json").write_text("{}")
+    with pytest.raises(ReaderError, match="result: it is a result: expected the logs it is of"):
+        mapweave.map(tmp_path / "result")
+    file = written(tmp_path, "text")
+    with pytest.raises(ReaderError, match=r"some\.log: expected a mapweave result with metrics\.json, found none"):
+        mapweave.fuse([file, tmp_path / "result"])
+    with pytest.raises(ReaderError, match="nowhere: no such file or folder"):
+        mapweave.localize(file, tmp_path / "nowhere")
+    with pytest.raises(MapweaveError, match=r"swarm\.xyz: expected a file name such as swarm\.csv"):
+        mapweave.simulate_swarm(tmp_path / "swarm.xyz")
 
 
 @pytest.mark.parametrize("data", [b"", b"\n \n", gzip.compress(b"", mtime=0)], ids=["nothing", "blanks", "packed"])

@@ -1,9 +1,12 @@
 """Names that a page, a figure or a folder could take for something else are shown as they are, and harm nothing."""
 
+from html import escape
+
 import numpy as np
 
 import mapweave
 from mapweave.io.table import read_table
+from mapweave.report.elements import tag
 from mapweave.report.html import Page
 from mapweave.report.style import figure
 
@@ -31,6 +34,14 @@ def test_pages_show_markup_in_names_as_text(tmp_path):
     page.figure(tmp_path / "f.png", NAMES[1])
     assert "<script" not in page.html()
     assert page.html().count("&lt;script&gt;") >= 7
+
+
+def test_an_element_escapes_what_is_put_into_it_unless_that_is_one():
+    name = "<b>&\"'\u202e\u05d0\U0001f600" + 300 * "x"
+    inner = tag("i", name, title=name)
+    assert inner == f'<i title="{escape(name)}">{escape(name)}</i>'
+    assert tag("p", inner, name, class_="c") == f'<p class="c">{inner}{escape(name)}</p>'
+    assert tag("br") == "<br>"
 
 
 def test_a_swarm_of_robots_with_such_names_is_located_and_stays_in_its_folder(tmp_path):

@@ -4,6 +4,7 @@ from importlib import import_module
 
 from ..core.config_text import as_toml
 from ..core.errors import UsageError
+from ..core.paths import checked_arguments
 
 JOBS: dict[tuple[str, bool], str] = {
     # (verb, on laser logs or in laser worlds): the configuration it reads
@@ -18,6 +19,7 @@ JOBS: dict[tuple[str, bool], str] = {
 }
 
 
+@checked_arguments
 def configuration(job: str, *, laser: bool = False) -> str:
     """Every setting of a job with its default and its meaning, as TOML to edit and hand back as `config`.
 

@@ -100,8 +100,6 @@ class ExploreOptions:
     def __post_init__(self) -> None:
         if self.runs < 1 or self.jobs < 1:
             raise UsageError(f"--runs and --jobs: expected at least 1, found {self.runs} and {self.jobs}")
-        if self.seed < 0:
-            raise UsageError(f"--seed: expected 0 or more, found {self.seed}")
         if not 0 <= self.drop < 1:
             raise UsageError(f"--drop: expected a share of messages from 0 to below 1, found {self.drop:g}")
         if self.radio is not None and not self.radio > 0:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.config import load
-from ..core.errors import DataError, ReaderError, UsageError
+from ..core.errors import DataError, UsageError
 from ..core.findings import Finding
 from ..core.names import in_order, robot_name
 from ..core.paths import AnyConfig, checked_arguments
@@ -14,7 +14,7 @@ from ..core.workers import Progress, no_progress, one_blas_thread
 from ..fusion.compared_logs import scales_apart
 from ..fusion.config import FuseConfig
 from ..fusion.join import fuse as join_maps
-from ..io.directory import check_target
+from ..io.directory import check_target, no_result
 from ..io.laser_state import holds_state, laser_homes
 from ..io.local_map import read_local_map
 from ..io.saved_result import expect_whole
@@ -167,7 +167,7 @@ def fuse(
             check_target(Path(out), force=force, reads=(*inside, *scores, config))
         for folder in given:
             if not folder.is_dir():
-                raise ReaderError(folder, "no such folder")
+                raise no_result(folder)
             expect_whole(folder)
         if scores:
             expect_there(scores)

@@ -538,6 +538,7 @@ def live_robots(
 LOOKED = 1.0  # [s] from one look at what had no room to the next
 
 
+@checked_arguments
 def live_view(
     *,
     port: int = 8642,

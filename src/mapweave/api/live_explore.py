@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import DataError, UsageError
+from ..core.paths import checked_arguments
 from ..exploration.laser.config import LaserPlan
 from ..exploration.laser.mission import GOALS_SAME, LaserBelief, PlannerState
 from ..exploration.laser.planners import by_tours, choose_goals
@@ -101,6 +102,7 @@ class Explorer:
         return self._numbers[name]
 
 
+@checked_arguments
 def live_explore(
     *,
     name: str = "explore",

@@ -11,14 +11,14 @@ import numpy as np
 from ..core import se2
 from ..core.config import config as configuration
 from ..core.config import load
-from ..core.errors import ReaderError, UsageError
+from ..core.errors import UsageError
 from ..core.laser_log import LaserLog
 from ..core.paths import AnyConfig, checked_arguments, is_path, path_of
 from ..core.records import Scan, Track
 from ..core.run import robot_rng
 from ..core.version import __version__
 from ..core.workers import Progress, no_progress, one_blas_thread
-from ..io.directory import check_target, write_json
+from ..io.directory import check_target, no_result, write_json
 from ..io.laser_arrays import NOWHERE, LaserStream, Numbers, laser_log_of
 from ..io.laser_logs import LaserSource, read_laser
 from ..io.laser_map import NAME, read_grid, write_scans
@@ -396,7 +396,7 @@ def _grid_path(folder: Path) -> Path:
     inside = [folder / NAME, *sorted(folder.glob(f"local/*/{NAME}"))]
     there = [path for path in inside if path.is_file()]
     if not there:
-        raise ReaderError(folder, f"expected a laser map with {NAME}, found none")
+        raise no_result(folder, f"a laser map with {NAME}")
     if there[0] != folder / NAME and len(there) > 1:
         folders = ", ".join(str(path.parent) for path in there)
         raise UsageError(f"--map {folder}: holds {len(there)} maps; give one of {folders}")

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..core.config import config, load
-from ..core.errors import DataError, MapweaveError, UsageError
+from ..core.errors import DataError, MapweaveError, ReaderError, UsageError
 from ..core.findings import Finding
 from ..core.laser_log import LaserLog
 from ..core.names import robot_name
@@ -25,7 +25,6 @@ from ..io.kept import part, parts
 from ..io.laser_logs import LaserSource, is_bag, is_laser_log, read_laser, robots_of
 from ..io.laser_state import LaserState, read_laser_states
 from ..io.ros_map import YAML_SUFFIXES, read_ros_map
-from ..io.saved_result import NAME as RESULT
 from ..io.saved_result import read_result
 from ..laser.laser_map import LaserMap
 from ..mapping.config import LaserConfig
@@ -152,8 +151,10 @@ def state_before(before: Path) -> LaserState:
     if before.suffix.lower() in YAML_SUFFIXES and not before.is_dir():
         return LaserState((known_map(read_ros_map(before).grid(), str(before)),), {})
     state, file = read_laser_states(before), before / NAME
-    said = read_decisions(file) if file.is_file() else None
-    if said is None or not said.edited or not (before / RESULT).is_file():
+    if not file.is_file():  # what somebody said in it would be lost
+        raise ReaderError(file, "no such file: the result is not whole, copy all of it")
+    said = read_decisions(file)
+    if not said.edited:
         return state
     return replace(state, maps=getattr(read_result(before), "before", ()) or state.maps, said=said)
 

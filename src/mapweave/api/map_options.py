@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -138,8 +139,6 @@ class MapOptions:
         self._check_names()
         expect_config(self.config)
         self.laser.check()
-        if self.seed < 0:
-            raise UsageError(f"--seed must be 0 or more, found {self.seed}")
         if self.jobs < 1:
             raise UsageError(f"--jobs must be 1 or more, found {self.jobs}")
         if self.fuse_every is not None and not 0 < self.fuse_every < math.inf:
@@ -154,7 +153,7 @@ class MapOptions:
 
     def _check_robots(self) -> None:
         for robot, part in self.share.items():
-            if not 0 < part <= 1:
+            if not (isinstance(part, Real) and 0 < part <= 1):
                 raise UsageError(f"--share of robot {robot} must be in (0, 1], found {part}")
         for robot, pose in self.start.items():
             if not all(map(math.isfinite, pose)):

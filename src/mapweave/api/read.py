@@ -14,7 +14,7 @@ from ..core.findings import Finding
 from ..core.landmark_log import LandmarkLog
 from ..core.laser_log import LaserLog
 from ..core.names import robot_key, robot_name
-from ..core.paths import path_of
+from ..core.paths import checked_arguments, path_of
 from ..core.records import Event
 from ..io.landmark_logs import is_landmark_log, read_landmark_logs
 from ..io.laser_logs import read_laser, recordings_in
@@ -101,6 +101,7 @@ def _tables(part: LaserLog | LandmarkLog) -> dict[str, Columns]:
     return {"poses": {"t": part.odometry.t, "x": x, "y": y, "theta": theta}, "scans": scans}
 
 
+@checked_arguments
 def read(logs: Path | str | Sequence[Path | str], *, laser: LaserOptions | None = None) -> Log:
     """What `logs` hold, of one robot or of a team, in whatever format `map` takes.
 

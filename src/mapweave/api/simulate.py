@@ -11,7 +11,7 @@ from ..core import se2
 from ..core.attitude import TURNS
 from ..core.errors import UsageError, expect_at_most
 from ..core.landmark_log import TeamRecording
-from ..core.paths import checked_arguments, path_of
+from ..core.paths import checked_arguments
 from ..core.version import __version__
 from ..core.workers import one_blas_thread
 from ..io.directory import check_target, write_json
@@ -170,6 +170,7 @@ class SimulatedDrive(ResultBase, LaserSimulation):
         walls = self.world.segments.reshape(-1, 4)
         _draw(target, "the simulated drive", {"true way": self.truth.pose[:, :2]}, walls=walls)
 
+    @checked_arguments
     def write(self, folder: Path | str, *, force: bool = False) -> None:
         """The MCAP file `folder`, and the true poses in FILE.truth.tum beside it; files there are replaced."""
         del force
@@ -239,7 +240,7 @@ def _with_fixes(drive: LaserSimulation, sd: float, seed: int) -> LaserSimulation
 
 
 def _mcap(out: Path | str) -> Path:
-    path = path_of(out, "out")
+    path = Path(out)
     if path.suffix != ".mcap" or path.is_dir():
         raise UsageError(f"--out {path}: expected a file name such as corridor.mcap")
     return path
@@ -314,6 +315,7 @@ class SimulatedSwarm(ResultBase, Swarm):
         pairs = zip(self.table.observer.tolist(), self.table.target.tolist(), strict=True)
         _draw(target, "the simulated swarm", {}, self.position[0, :, :2], pairs=list(pairs))
 
+    @checked_arguments
     def write(self, folder: Path | str, *, force: bool = False) -> None:
         """The table `folder`, .csv or .parquet, and beside it the truth and the odometry; files there are replaced."""
         del force
@@ -358,8 +360,8 @@ def simulate_swarm(out: Path | str | None = None, scene: SwarmScene | None = Non
 
 
 def _table(out: Path | str) -> Path:
-    path = path_of(out, "out")
-    if path.is_dir() or not path.suffix:
+    path = Path(out)
+    if path.is_dir() or path.suffix.lower() not in {".csv", ".parquet", ".pq"}:
         raise UsageError(f"--out {path}: expected a file name such as swarm.csv or swarm.parquet")
     return path
 

@@ -133,7 +133,7 @@ def edit(
 
     A click on a place believes or forbids it, two robots are said to be one map or not, a map is dragged onto another.
     Each time all is solved again from the graph that the result holds. What is saved are decisions, which `map` takes
-    with the same logs, to the same result.
+    with the same logs, to the same result. What is not saved when it ends is saved then, and told.
 
     Parameters
     ----------
@@ -143,13 +143,14 @@ def edit(
         Where saving writes the whole result too (nowhere).
     decisions
         The file that saving writes decisions to (decisions.toml of the result); editing goes on from what it holds,
-        where it is there already, else from those in the result's own.
+        where it is there already, else from those in the result's own. Where somebody else wrote it since, or it cannot
+        be written at the end, decisions are kept in another file, and which is told.
     port
         Where the page stands (8643); 0 is any that is free.
     browser
         Open it in a browser.
     say
-        Called with a line that names the address.
+        Called with a line that names the address, and one that names the file of what was saved at the end.
 
     Raises
     ------
@@ -172,7 +173,12 @@ def edit(
         say(f"{folder}: {address}")
         if browser:
             webbrowser.open(address)
-        (stop or Event()).wait()
+        try:
+            (stop or Event()).wait()
+        finally:
+            kept = editor.keep()
+            if kept is not None:
+                say(f"saved what was not: mapweave edit {folder} --decisions {kept} goes on from there")
 
 
 @dataclass(slots=True)
@@ -191,6 +197,7 @@ class Editor:
     past: list[dict[tuple[Any, ...], Row]] = field(default_factory=list)
     seconds: float = 0.0
     saved: bool = True
+    _stood: bytes | None = None  # in the file, as it was last read or written here
     _lock: Any = field(default_factory=Lock)
     _pairs: "Remembering" = field(default_factory=lambda: Remembering())  # noqa: PLW0108  (it stands below)
 
@@ -198,6 +205,7 @@ class Editor:
         self.result = load(self.folder, LaserResult)
         if self.result.config is None or not self.result.components:
             raise UsageError(f"{self.folder}: expected laser maps of the graph method, found none")
+        self._stood = self._stands()
         begun = self.file if self.file.is_file() else self.folder / NAME
         if begun.is_file():
             said = read_decisions(begun)
@@ -315,15 +323,36 @@ class Editor:
         """The decisions are in their file and, where asked for, the result in its folder; tells where."""
         del asked
         with self._lock:
-            text = decisions_text(self.result.maps, self.result.merges, self.result.said)
             try:
-                with result_file(self.file) as work:
-                    work.write_text(text, encoding="utf-8")
+                self._write()
                 written(self.result, self.out)
             except OSError as error:
                 raise UsageError(f"{error.filename}: {error.strerror}") from None
             self.saved = True
         return {"file": str(self.file), "out": None if self.out is None else str(self.out)}
+
+    def keep(self) -> Path | None:
+        """The file of what was decided and not saved, which is in one now; None where all was saved."""
+        with self._lock:
+            if self.saved:
+                return None
+            try:
+                self._write()
+            except OSError:
+                self.file = Path(mkdtemp(prefix="mapweave-")) / NAME
+                self._write()
+            return self.file
+
+    def _write(self) -> None:
+        """The decisions are in `file`, which is another beside it where somebody else wrote it since."""
+        if self._stands() not in {None, self._stood}:
+            self.file = self.file.with_stem(f"{self.file.stem}-{self.edition}")
+        with result_file(self.file) as work:
+            work.write_text(decisions_text(self.result.maps, self.result.merges, self.result.said), encoding="utf-8")
+        self._stood = self._stands()
+
+    def _stands(self) -> bytes | None:
+        return self.file.read_bytes() if self.file.is_file() else None
 
     def _solve(self, rows: Mapping[tuple[Any, ...], Row]) -> None:
         began, old = perf_counter(), self.result

@@ -20,6 +20,7 @@ from cyclopts import Parameter
 
 from ..core.config_text import own_meanings
 from ..core.errors import VerdictError
+from ..core.paths import at_home, holds_paths
 from ..core.signatures import COMMON
 from ..kernels.compiling import nothing_collected
 from .terminal import progress, say, until_interrupted
@@ -113,6 +114,8 @@ def make(name: str, command: Command) -> Callable[..., None]:
         groups: dict[str, dict[str, Any]] = {key: {} for _, _, key, _ in shown if key}
         for parameter, target, key, parse in shown:
             value = bound.arguments[parameter.name]
+            if holds_paths(parameter.annotation):  # --out=~/here, which no shell expands
+                value = at_home(value, parameter.name)
             (groups[key] if key else given)[target] = value if parse is None else _callable(parse)(value)
         for key, fields in groups.items():
             group = command.options[key]

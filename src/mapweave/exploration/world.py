@@ -3,8 +3,10 @@
 A world beyond these limits is refused with its number before anything is allocated for it.
 """
 
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -34,8 +36,14 @@ class WorldConfig:
     starts: tuple[Pose, ...] | None = None  # [m], [rad], one a robot
 
 
-def check_world(path: Path, world: WorldConfig) -> None:
-    """Raises ConfigError, naming `path`, when walls or starts of `world` cannot be or lie too far away."""
+W = TypeVar("W", bound=WorldConfig)
+
+
+def checked_world(path: Path, world: W) -> W:
+    """`world` as the file `path` describes it, its file of walls found from there.
+
+    Raises ConfigError, naming `path`, when walls or starts of it cannot be or lie too far away.
+    """
     if world.starts is not None:
         if not world.starts:
             raise ConfigError(f"{path}: starts: expected [[x, y, theta], ...], one a robot, found none")
@@ -53,6 +61,9 @@ def check_world(path: Path, world: WorldConfig) -> None:
                 raise ConfigError(
                     f"{path}: walls.{k}: expected x0, y0, x1, y1, found a wall without length at ({x0:g}, {y0:g})"
                 )
+    if isinstance(world.walls, str):
+        return replace(world, walls=str(path.parent / Path(world.walls).expanduser()))
+    return world
 
 
 def check_places(what: str, places: Float[np.ndarray, "n k"]) -> None:

@@ -66,7 +66,7 @@ def result_directory(out: Path, *, force: bool = False) -> Iterator[Path]:
     """
     check_target(out, force=force)
     target = out.resolve()
-    with _naming(out):
+    with naming(out):
         target.parent.mkdir(parents=True, exist_ok=True)
         _sweep(target)
         work = Path(tempfile.mkdtemp(prefix=_aside(target), dir=target.parent))
@@ -82,7 +82,7 @@ def result_directory(out: Path, *, force: bool = False) -> Iterator[Path]:
 @contextmanager
 def result_file(out: Path) -> Iterator[Path]:
     """A path to write to; it takes the place of the file `out` when the block ends without an exception."""
-    with _naming(out):
+    with naming(out):
         out.parent.mkdir(parents=True, exist_ok=True)
         _sweep(out)
         handle, name = tempfile.mkstemp(prefix=_aside(out), dir=out.parent)
@@ -99,12 +99,13 @@ def result_file(out: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def _naming(out: Path) -> Iterator[None]:
-    """An error of the file system names `out`, which was asked for, in place of a name aside or none."""
+def naming(out: Path) -> Iterator[None]:
+    """An error of the file system names `out`, which was asked for, in place of a name aside, its folder's or none."""
     try:
         yield
     except OSError as error:
-        if error.errno is None or (error.filename is not None and ASIDE not in str(error.filename)):
+        at = error.filename
+        if error.errno is None or not (at is None or ASIDE in str(at) or out.is_relative_to(str(at))):
             raise
         raise OSError(error.errno, f"cannot be written: {os.strerror(error.errno)}", str(out)) from error
 
@@ -172,9 +173,9 @@ def plain(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
-def no_result(folder: Path) -> ReaderError:
-    """What is said of a folder without a result."""
-    there = "expected a mapweave result with metrics.json, found none"
+def no_result(folder: Path, expected: str = "a mapweave result with metrics.json") -> ReaderError:
+    """What is said of a folder without a result, or without what was expected of it."""
+    there = f"expected {expected}, found none"
     return ReaderError(folder, there if folder.exists() else "no such file or folder")
 
 

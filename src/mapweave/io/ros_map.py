@@ -13,10 +13,12 @@ from jaxtyping import Bool, Float, Int8, UInt8
 from PIL import Image, UnidentifiedImageError
 
 from ..core.errors import ReaderError, UsageError
+from ..core.paths import checked_arguments
 from ..core.records import frozen
 from ..core.walls import Walls, walls_of_raster
 from ..laser.laser_map import FREE_BELOW, OCCUPIED_ABOVE, GridMap
 from ..laser.occupancy_mapper import Occupancy
+from .directory import naming
 from .table import open_text
 
 UNKNOWN, FREE, OCCUPIED = -1, 0, 1
@@ -197,11 +199,13 @@ def write_ros_map(folder: Path, grid: GridMap, georeference: Mapping[str, Any] |
             text.write(f"georeference: {json.dumps(georeference)}\n")
 
 
+@checked_arguments
 def save_grid(grid: GridMap, path: Path) -> None:
     """`path`, a .yaml, and the picture beside it; raises UsageError for another suffix."""
     if path.suffix.lower() not in YAML_SUFFIXES:
         raise UsageError(f"{path}: expected a name that ends in .yaml, beside which the picture goes")
-    _write_picture(path, trinary(grid), grid.resolution, grid.origin)
+    with naming(path):
+        _write_picture(path, trinary(grid), grid.resolution, grid.origin)
 
 
 GridMap.writer = save_grid

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ..core.errors import ReaderError
+from .directory import MARKERS
 from .files import is_number, recording_of, unpacked
 
 LOOKED_AT = 1 << 16  # [bytes] at the beginning
@@ -91,6 +92,12 @@ FORMATS = (
         "`mapweave solve`, for it holds no scans",
     ),
     Format("a trajectory", _of("qx", "qw"), _columns(8, 8), "`--truth`, for it holds no scans"),
+    Format(
+        "a swarm",
+        _of("observer", "target", "bearing", "azimuth", "elevation", "bx", "by", "bz"),
+        lambda _: 0.0,
+        "`mapweave locate`, for it holds sightings between robots",
+    ),
 )
 BINARY = (
     "a ROS recording begins with '#ROSBAG V2.0' (.bag), '\\x89MCAP0' (.mcap) or 'SQLite format 3' (.db3), "
@@ -153,6 +160,8 @@ def _folder(path: Path) -> str:
         names = sorted(p.name for p in path.iterdir())
     except OSError as error:
         return f"cannot be read: {error.strerror}"
+    if MARKERS[0] in names:
+        return "it is a result: expected the logs it is of; `mapweave fuse` takes results"
     listing = ", ".join(_shown(name) for name in names[:5]) + (", .." if len(names) > 5 else "")
     tables = next(f for f in FORMATS if f.name == "CSV tables").needs
     mrclam = next(f for f in FORMATS if f.name == "MRCLAM").needs

@@ -303,7 +303,7 @@ def encode(message: Message) -> bytes:
 
 def is_name(name: str) -> bool:
     """Whether it may be part of a key."""
-    return len(name) <= LONGEST_NAME and NAME.fullmatch(name) is not None
+    return isinstance(name, str) and len(name) <= LONGEST_NAME and NAME.fullmatch(name) is not None
 
 
 def check_name(name: str, what: str = "--name", wrong: type[MapweaveError] = UsageError) -> str:

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
-from html import escape
 from importlib.resources import files
 from itertools import zip_longest
 from pathlib import Path
@@ -21,6 +20,7 @@ from PIL import Image
 from ..core.findings import Finding, verdict, verdict_line
 from ..core.version import __version__
 from ..io.directory import read_json, result_file
+from .elements import NOTHING, Html, joined, tag
 from .scene import Scene, script
 
 ALIKE = 1000.0  # numbers of a column that differ by less have the same number of decimals
@@ -67,7 +67,6 @@ HOLDS = {
     "world": "where each robot went in the world that fixes are told in, covariances beside",
 }
 _OPEN = "<details open>"  # of a figure
-_TABLE = '<table tabindex="0">'  # which the keyboard too moves aside, where it is wider than the page
 _NUMBER = re.compile(r"[-+−±]?\.?\d")
 # On a dark screen paper becomes dark and ink light, and colours stay what they are: the grey of a pixel is turned where
 # it is near white or black, its difference to that grey is kept.
@@ -86,14 +85,14 @@ class Page:
 
     title: str
     lead: str = ""
-    parts: list[str] = field(default_factory=list)
+    parts: list[Html] = field(default_factory=list)
     scenes: int = 0
 
     def section(self, title: str) -> None:
-        self.parts.append(f"<h2>{escape(title)}</h2>")
+        self.parts.append(tag("h2", title))
 
     def text(self, text: str, *, warn: bool = False) -> None:
-        self.parts.append(f'<p class="warn">⚠ {escape(text)}</p>' if warn else f"<p>{escape(text)}</p>")
+        self.parts.append(tag("p", "⚠ ", text, class_="warn") if warn else tag("p", text))
 
     def verdict(self, findings: Sequence[Finding]) -> None:
         """What the findings make of the result, and which."""
@@ -101,30 +100,27 @@ class Page:
 
     def cards(self, values: Sequence[tuple[str, str]], warnings: int = 0) -> None:
         """Headline figures as (what, value with unit); the last leads to the `warnings`, where there are any."""
-        inner = "".join(f'<div class="card"><b>{escape(v)}</b>{escape(k)}</div>' for k, v in values)
+        inner = [tag("div", tag("b", v), k, class_="card") for k, v in values]
         if warnings:
             some = "warnings" if warnings > 1 else "warning"
-            inner += f'<a class="card" href="#warnings"><b>⚠ {warnings}</b>{some}, below the map</a>'
-        self.parts.append(f'<div class="cards">{inner}</div>')
+            inner.append(tag("a", tag("b", f"⚠ {warnings}"), some, ", below the map", class_="card", href="#warnings"))
+        self.parts.append(tag("div", *inner, class_="cards"))
 
     def warnings(self, texts: Sequence[str]) -> None:
         """What was repaired, left out or is in doubt, an item each."""
         if texts:
-            items = "".join(f"<li>{escape(text)}</li>" for text in texts)
-            self.parts.append(f'<ul class="warn" id="warnings">{items}</ul>')
+            self.parts.append(tag("ul", *(tag("li", text) for text in texts), class_="warn", id="warnings"))
 
     def table(self, head: Sequence[str], rows: Sequence[Sequence[object]], colours: Sequence[str] = ()) -> None:
         """Numbers stand right, columns of words left; colours: of what each row is about, where figures show it."""
         digits = [_decimals(column) for column in zip_longest(*rows)]
         cells = [[_shown(value, d) for value, d in zip(row, digits, strict=False)] for row in rows]
         kinds = [_kind(column) for column in zip_longest(*cells, fillvalue="")]
-        top = "".join(f"<th{kind}>{escape(h)}</th>" for h, kind in zip_longest(head, kinds[: len(head)], fillvalue=""))
-        marks = [f'<i style="background:{colour}"></i>' for colour in colours] or [""] * len(cells)
-        body = ""
+        marks = [tag("i", style=f"background:{colour}") for colour in colours] or [NOTHING] * len(cells)
         for row, mark in zip(cells, marks, strict=True):
-            data = [f"<td{kind}>{escape(text)}</td>" for text, kind in zip(row, kinds, strict=False)]
-            body += f"<tr>{''.join(data).replace('>', f'>{mark}', 1)}</tr>"
-        self.parts.append(f"{_TABLE}<thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>")
+            row[0] = joined(mark, row[0])
+        top = tag("thead", _row("th", head, kinds))
+        self.parts.append(_table(top, *(_row("td", row, kinds) for row in cells)))
 
     def figure(self, png: Path, caption: str, draw: Callable[..., object] | None = None, *what: object) -> None:
         """A PNG or GIF, inside the page; on a narrow screen it keeps a size at which it can be read, and moves aside.
@@ -134,16 +130,15 @@ class Page:
         """
         if draw is not None:
             draw(png, *what)
-        self.parts.append(
-            f"{_OPEN}<summary>{escape(caption)}</summary><figure>{_picture(png, caption)}</figure></details>"
-        )
+        shown = tag("figure", _picture(png, caption))
+        self.parts.append(Html(f"{_OPEN}{tag('summary', caption)}{shown}</details>"))
 
     @contextmanager
     def folded(self, title: str, *, shut: bool) -> Iterator[None]:
         """What is written meanwhile stands under `title`, and where `shut` is seen once that is clicked."""
-        self.parts.append(f"<details{'' if shut else ' open class=part'}><summary>{escape(title)}</summary>")
+        self.parts.append(Html(f"<details{'' if shut else ' open class=part'}>{tag('summary', title)}"))
         yield
-        self.parts.append("</details>")
+        self.parts.append(Html("</details>"))
 
     def scene(self, scene: Scene, caption: str, png: Path | None = None, *beside: Scene) -> None:
         """A map to move about in; its picture, drawn to `png`, shows where no script runs. Nothing of an empty scene.
@@ -152,7 +147,7 @@ class Page:
         """
         if png is not None:
             scene.draw(png, *beside)
-        still = "" if png is None else _picture(png, caption)
+        still = NOTHING if png is None else _picture(png, caption)
         if not scene.empty:
             self.scenes += 1
             self.parts.append(scene.html(caption, still))
@@ -188,9 +183,9 @@ class Page:
         return (
             '<!doctype html><html lang="en"><head><meta charset="utf-8">'
             '<meta name="viewport" content="width=device-width,initial-scale=1">'
-            f"<title>{escape(self.title)}</title><style>{_style()}</style></head><body>{_DARK}<main><h1>{escape(self.title)}</h1>"
-            f'<p class="lead">{escape(self.lead)}</p>{body}'
-            f"<footer>mapweave {escape(__version__)}</footer></main>{moving}</body></html>\n"
+            f"{tag('title', self.title)}<style>{_style()}</style></head><body>{_DARK}<main>{tag('h1', self.title)}"
+            f"{tag('p', self.lead, class_='lead')}{body}"
+            f"{tag('footer', 'mapweave ', __version__)}</main>{moving}</body></html>\n"
         )
 
     def write(self, path: Path) -> None:
@@ -212,11 +207,22 @@ def sentence_case(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _picture(png: Path, caption: str) -> str:
+def _picture(png: Path, caption: str) -> Html:
     with Image.open(png) as image:
         wide, high = image.size
-    size = f'width="{wide}" height="{high}" style="--wide:{wide}px"'
-    return f'<div class="wide" tabindex="0"><img alt="{escape(caption, quote=True)}" {size} src="{_inside(png)}"></div>'
+    shown = tag("img", alt=caption, width=wide, height=high, style=f"--wide:{wide}px", src=_inside(png))
+    return tag("div", shown, class_="wide", tabindex=0)
+
+
+def _row(cell: str, texts: Sequence[str], kinds: Sequence[str]) -> Html:
+    """A row of cells, each of the class of its column."""
+    each = zip_longest(texts, kinds[: len(texts)], fillvalue="")
+    return tag("tr", *(tag(cell, text, **({"class_": kind} if kind else {})) for text, kind in each))
+
+
+def _table(head: Html, *rows: Html) -> Html:
+    """A table, which the keyboard too moves aside where it is wider than the page."""
+    return tag("table", head, tag("tbody", *rows), tabindex=0)
 
 
 def _inside(image: Path) -> str:
@@ -241,9 +247,9 @@ def _shown(value: object, decimals: int | None = None) -> str:
 def _kind(column: Sequence[str]) -> str:
     """The class of a column: of sentences, of words, or none of numbers."""
     if any(len(text) > LONGEST_NUMBER for text in column):
-        return ' class="text"'
+        return "text"
     filled = [text for text in column if text not in {"", "–"}]
-    return ' class="word"' if filled and not any(_NUMBER.match(text) for text in filled) else ""
+    return "word" if filled and not any(_NUMBER.match(text) for text in filled) else ""
 
 
 def _unused(page: Page, metrics: Path) -> None:
@@ -269,9 +275,8 @@ def list_files(folder: Path) -> None:
     rows = []
     for path in sorted(p for p in folder.iterdir() if p != report):
         name = f"{path.name}/" if path.is_dir() else path.name
-        link = f'<a href="{quote(name)}">{escape(name)}</a>'
-        rows.append(f'<tr><td>{link}</td><td class="text">{escape(HOLDS.get(path.name, ""))}</td></tr>')
-    page.parts.append(f"{_TABLE}<tbody>{''.join(rows)}</tbody></table>")
+        rows.append(_row("td", [tag("a", name, href=quote(name)), HOLDS.get(path.name, "")], ["", "text"]))
+    page.parts.append(_table(NOTHING, *rows))
     text = page.put_into(report.read_text(encoding="utf-8", errors="replace"), "files")
     with result_file(report) as work:
         work.write_text(text, encoding="utf-8", errors="backslashreplace")

@@ -3,15 +3,15 @@
 from abc import ABC, abstractmethod
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
-from html import escape
 from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast, runtime_checkable
 
-from ..core.paths import path_of
+from ..core.paths import checked_arguments
 from ..core.signatures import readable
 from ..io.directory import result_directory
 from ..io.saved_result import write_result
+from .elements import tag
 from .html import list_files
 from .style import drawn, png
 
@@ -74,12 +74,13 @@ class ResultBase(ABC):
         """What came out, in a few lines for people."""
         return "\n".join(self.lines())
 
+    @checked_arguments
     def write(self, folder: Path | str, *, force: bool = False) -> None:
         """The folder that the command writes: an earlier result there is replaced whole.
 
         Raises UsageError when something other than a result stands there, unless `force`.
         """
-        with result_directory(path_of(folder, "folder"), force=force) as work:
+        with result_directory(Path(folder), force=force) as work:
             self.write_into(work)
             self.finish(work)
 
@@ -99,18 +100,19 @@ class ResultBase(ABC):
         """The head of a page for notebooks: what `summary` says, the main picture and the table that tells the most."""
         picture = b64encode(png(self.draw, MOST_PICTURE)).decode("ascii")
         lines = self.lines()
-        text = "<br>".join(escape(_cut(line)) for line in lines[:MOST_LINES])
+        text = [part for line in lines[:MOST_LINES] for part in (tag("br"), _cut(line))][1:]
         if len(lines) > MOST_LINES:
-            text += f"<br>and {len(lines) - MOST_LINES} lines more in <code>summary()</code>"
+            text += [tag("br"), f"and {len(lines) - MOST_LINES} lines more in ", tag("code", "summary()")]
         head, rows = self.headline()
-        top = "".join(f"<th>{escape(_cut(name))}</th>" for name in head)
-        cells = ["".join(f"<td>{escape(_cell(v))}</td>" for v in row) for row in rows[:MOST_ROWS]]
-        body = "".join(f"<tr>{row}</tr>" for row in cells)
-        more = f"<p>and {len(rows) - MOST_ROWS} rows more</p>" if len(rows) > MOST_ROWS else ""
-        return (
-            f"<div><b>{escape(type(self).__name__)}</b><p>{text}</p>"
-            f'<img alt="the map" style="max-width:100%" src="data:image/png;base64,{picture}">'
-            f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>{more}</div>"
+        top = tag("thead", tag("tr", *(tag("th", _cut(name)) for name in head)))
+        body = tag("tbody", *(tag("tr", *(tag("td", _cell(v)) for v in row)) for row in rows[:MOST_ROWS]))
+        return tag(
+            "div",
+            tag("b", type(self).__name__),
+            tag("p", *text),
+            tag("img", alt="the map", style="max-width:100%", src=f"data:image/png;base64,{picture}"),
+            tag("table", top, body),
+            *([tag("p", f"and {len(rows) - MOST_ROWS} rows more")] if len(rows) > MOST_ROWS else []),
         )
 
     def __repr__(self) -> str:

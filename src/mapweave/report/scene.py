@@ -9,7 +9,6 @@ import re
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from html import escape
 from importlib.resources import files
 from io import BytesIO
 from typing import TYPE_CHECKING, Any, Literal, cast
@@ -27,6 +26,7 @@ from ..io.web import viewport
 from ..landmarks.landmark_map import LandmarkMap
 from ..mapping.woven_map import Georeference
 from ..team.team_map import TeamMap
+from .elements import NOTHING, Html, tag
 from .style import (
     LANDMARK,
     MUTED,
@@ -291,7 +291,7 @@ class Scene:
         if one["named"] and len(at) <= MOST_NAMED:
             name_points(ax, one["names"], at)
 
-    def html(self, caption: str, still: str = "") -> str:
+    def html(self, caption: str, still: Html = NOTHING) -> Html:
         """A figure for a page that has the script at its end; `still`: what shows where no script runs."""
         held = self.data()
         data = json.dumps(held, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
@@ -299,10 +299,9 @@ class Scene:
             "Drag to move; click, then wheel or + and − to zoom, 0 for all, m to measure, f for the whole screen; "
             "point at a thing to read what it is."
         )
-        return (
-            f'<figure class="scene"><div class="still">{still}</div><script type="application/json">{data}</script>'
-            f"<figcaption>{escape(caption + self._left_out(held))} <span>{how}</span></figcaption></figure>"
-        )
+        told = tag("figcaption", caption, self._left_out(held), " ", tag("span", how))
+        shown = tag("script", Html(data), type="application/json")
+        return tag("figure", tag("div", still, class_="still"), shown, told, class_="scene")
 
 
 def _spread(n: int, most: int) -> Int[np.ndarray, " m"]:

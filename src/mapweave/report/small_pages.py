@@ -23,6 +23,7 @@ from ..mapping.woven_map import Georeference
 from ..ranges.estimate import RangeEstimate
 from ..ranges.network import RangeNetwork
 from ..team.team_map import TeamMap
+from .elements import Html
 from .html import Page, told_list
 from .laser_figures import READABLE, walls
 from .scene import Scene, Shape, fix_points, landmark_points, script
@@ -128,7 +129,7 @@ def editing_page(title: str) -> str:
         title,
         "Click a line between two places to believe or forbid it, or drag over walls to erase; all is solved anew.",
     )
-    page.parts.append(_BODY)
+    page.parts.append(Html(_BODY))
     return page.html(f"{script()}{_script()}")
 
 

@@ -1,7 +1,6 @@
 """What can be set about an exploration among landmarks: where it is, by name or from a TOML file, and every planner."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -22,7 +21,7 @@ from ..world import (
     check_cells,
     check_places,
     check_robots,
-    check_world,
+    checked_world,
     floor_plan,
     given_starts,
     plan_walls,
@@ -190,10 +189,7 @@ def find_scenario(name: str) -> ScenarioConfig:
             raise UsageError(f"scenario {name!r}: a laser world, where there are no landmarks")
         known = ", ".join((*BUILT_IN, "office", "office-AREA"))
         raise UsageError(f"scenario {name!r}: not one of {known} and not a TOML file")
-    scenario = load(ScenarioConfig, path)
-    if isinstance(scenario.walls, str):
-        scenario = replace(scenario, walls=str(path.parent / scenario.walls))
-    check_world(path, scenario)
+    scenario = checked_world(path, load(ScenarioConfig, path))
     _check_landmarks(path, scenario)
     lower, upper = bounds(scenario)
     if lower[0] >= upper[0] or lower[1] >= upper[1]:

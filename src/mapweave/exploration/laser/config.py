@@ -21,7 +21,7 @@ from ..world import (
     check_cells,
     check_enough,
     check_robots,
-    check_world,
+    checked_world,
     floor_plan,
     given_starts,
     plan_walls,
@@ -151,10 +151,7 @@ def find_laser_scenario(name: str) -> LaserScenarioConfig | None:
         raise ConfigError(f"{path}: office: expected {LEAST:g} to {GREATEST:g} m^2, found {scenario.office:g}")
     if scenario.walls is not None and not scenario.starts:
         raise ConfigError(f"{path}: expected starts = [[x, y, theta], ...], one a robot")
-    check_world(path, scenario)
-    if isinstance(scenario.walls, str):
-        return replace(scenario, walls=str(path.parent / scenario.walls))
-    return scenario
+    return checked_world(path, scenario)
 
 
 def make_place(scenario: LaserScenarioConfig, robots: int | None, seed: int) -> LaserPlace:
