@@ -400,6 +400,15 @@ def test_places_far_from_where_wheels_lead_over_several_cuts_together_are_told_w
     assert cuts_disputed(replace(held, pose=pose), ()) == ()
 
 
+def test_over_a_cut_where_wheels_lead_on_a_few_decimetres_are_no_dispute():
+    graph = straight((30,), n=60)
+    faded = replace(graph, border=tuple(FADED if why else "" for why in graph.border))
+    for off, told in ((0.45, 0), (1.5, 1)):
+        pose = np.array(graph.pose)
+        pose[30:, 1] += off
+        assert len(cuts_disputed(replace(faded, pose=pose), ())) == told
+
+
 def test_a_robot_that_faces_the_other_way_after_a_sharp_turn_is_told():
     graph = straight((30,), n=60)
     step, pose = np.array(graph.step), np.array(graph.pose)

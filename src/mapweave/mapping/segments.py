@@ -52,7 +52,8 @@ WHY = {
     CONTRADICTED: "places before and after it contradict what its scans tell",
 }
 MANY, PATCHY = 20, 0.02  # keyframes, and cuts among them from which on a trajectory is a patchwork
-DISPUTED = 3.0  # sd by which places put a robot elsewhere over a gap or a cut than its wheels
+DISPUTED = 3.0  # sd by which places put a robot elsewhere over a gap or a cut than its wheels; over a cut besides by
+DISPUTED_XY, DISPUTED_TURN = 0.5, 0.5  # [m] or [rad]: over few metres wheels that lead on are known to decimetres
 CARRIED_BY = {"scene-jump", "scene-change", "wheels-leap", "wheels-set"}  # codes of what tells that it is elsewhere
 STRETCHES = (10, 20, 40)  # steps of a trajectory that places may have bent,
 BENT, BENT_SDS = 0.5, 5.5  # by more than this [m], and so many standard deviations of the steps together
@@ -297,7 +298,8 @@ def _off_over(graph: RobotGraph, cuts: Sequence[int]) -> tuple[tuple[int, int], 
             cov += border + np.diag([1.0, 1.0, 0.0]) * border[2, 2] * float(way[:2] @ way[:2])  # a turn swings the rest
         way = se2.compose(graph.step[k - 1], way)
     e = se2.between(way, se2.between(graph.pose[first], graph.pose[last]))
-    return ((first, last), e) if e @ np.linalg.solve(cov, e) > DISPUTED**2 else None
+    far = np.hypot(e[0], e[1]) > DISPUTED_XY or abs(e[2]) > DISPUTED_TURN
+    return ((first, last), e) if far and e @ np.linalg.solve(cov, e) > DISPUTED**2 else None
 
 
 def way_bent(graph: RobotGraph) -> tuple[Finding, ...]:
