@@ -139,6 +139,8 @@ class MapOptions:
         self._check_names()
         expect_config(self.config)
         self.laser.check()
+        if self.seed < 0:  # on the command line before anything is imported that takes its time
+            raise UsageError(f"--seed: expected 0 or more, found {self.seed}")
         if self.jobs < 1:
             raise UsageError(f"--jobs must be 1 or more, found {self.jobs}")
         if self.fuse_every is not None and not 0 < self.fuse_every < math.inf:
