@@ -41,8 +41,9 @@ PLACE = {  # column and row on the sheet; a room imports from rows below its own
     "swarm": (2, 8),
     "landmarks": (6, 8),
     "laser": (10, 8),
+    "ranges": (8, 9),
 }
-ESTIMATORS = ("landmarks", "laser", "mapping", "swarm", "fusion", "team", "exploration")
+ESTIMATORS = ("landmarks", "laser", "ranges", "mapping", "swarm", "fusion", "team", "exploration")
 EVENT_RECORDS = ("records", "landmark_log", "laser_log", "bearings")  # of core
 GROWN = 1.2  # times as many calls for twice as many events: the file is entered for every event
 GROUND = ("solve", "core", "kernels")  # every room stands on these
