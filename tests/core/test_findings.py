@@ -4,6 +4,7 @@ import ast
 import json
 import pickle
 import string
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from mapweave.core.findings import (
     Unused,
     finding_of,
     of_robot,
+    shortly,
     table_page,
     unused_of,
     verdict,
@@ -129,3 +131,13 @@ def test_a_code_that_is_not_in_the_table_cannot_be_made():
 def test_the_page_of_the_documentation_is_the_table():
     page = HOUSE.parent.parent / "docs" / "findings.md"
     assert page.read_text(encoding="utf-8") == table_page(), "python -m mapweave.core.findings > docs/findings.md"
+
+
+def test_of_many_findings_of_a_kind_people_read_a_few_and_how_many_more_there_are():
+    cuts = [Finding("track-cut", "1", (float(k), k + 1.0), "few returns match") for k in range(60)]
+    other = Finding("light-unused", "1", value="the log has none")
+    lines = shortly([*cuts[:30], other, *cuts[30:]], named=True)
+    assert lines == [*(f.told for f in cuts[:3]), "robot 1: 57 more of track-cut: metrics.json has all", other.told]
+    assert shortly(cuts[:4]) == [f.text for f in cuts[:4]]
+    two = [*cuts[:5], *(replace(f, robot="2") for f in cuts[:2])]
+    assert len(shortly(two)) == 4 + 2

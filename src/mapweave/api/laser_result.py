@@ -16,7 +16,7 @@ import numpy as np
 
 from ..core import se2
 from ..core.errors import DataError, UsageError
-from ..core.findings import Finding, Verdict, of_robot, unused_by_all, verdict, verdict_line
+from ..core.findings import Finding, Verdict, of_robot, shortly, unused_by_all, verdict, verdict_line
 from ..core.names import robot_key, robot_name
 from ..core.records import Track
 from ..core.version import __version__
@@ -146,7 +146,7 @@ class LaserResult(ResultBase):
                 f"feature {local_map.feature}{_light(local_map)}, "
                 f"map {x1 - x0:.0f} x {y1 - y0:.0f} m, {refused} matches refused"
             )
-            lines += [f"{robot_name(local_map.robot)}: {f.text}" for f in local_map.findings]
+            lines += [f"{robot_name(local_map.robot)}: {text}" for text in shortly(local_map.findings)]
         lines += [told_merge(merge) for merge in self.merges]
         if len(self.maps) > 1 and self.components:
             lines += [told_component(woven) for woven in self.components]

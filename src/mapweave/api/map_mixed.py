@@ -16,7 +16,7 @@ from jaxtyping import Float
 from ..core import se2
 from ..core.config import config, load
 from ..core.errors import DataError, MapweaveError, UsageError
-from ..core.findings import Finding, Unused, Verdict, of_robot, unused_by_all, verdict, verdict_line
+from ..core.findings import Finding, Unused, Verdict, of_robot, shortly, unused_by_all, verdict, verdict_line
 from ..core.landmark_log import NOTHING_SEEN, LandmarkLog, SightingTable
 from ..core.laser_log import LaserLog
 from ..core.names import in_order, robot_key, robot_name
@@ -241,7 +241,7 @@ class MixedResult(ResultBase):
         first = self.maps[0]
         out = [f"{len(first.robots)} of {len(self.story.kinds)} robots in one map of {len(first.landmarks)} landmarks"]
         out += words(self.story)
-        out += [f"warning: {f.told}" for f in self.findings]
+        out += [f"warning: {text}" for text in shortly(self.findings, named=True)]
         return [*out, *self.story.lines, verdict_line(self.findings)]
 
     def write_into(self, folder: Path) -> None:

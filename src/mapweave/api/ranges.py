@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import DataError, EstimateError, UsageError
-from ..core.findings import Finding, Unused, Verdict, verdict, verdict_line
+from ..core.findings import Finding, Unused, Verdict, shortly, verdict, verdict_line
 from ..core.names import in_order, robot_key
 from ..core.paths import checked_arguments
 from ..core.version import __version__
@@ -142,7 +142,7 @@ class RangeResult(ResultBase):
             f"{len(team.robots)} of {len(net.robots)} robots and {len(team.landmarks)} of {len(net.beacons)} beacons"
         )
         out = [f"{placed} in {where}: {len(net.ranges)} ranges, {far} rejected"]
-        out += [f"warning: {f.told}" for f in self.findings]
+        out += [f"warning: {text}" for text in shortly(self.findings, named=True)]
         if self.evaluation is not None:
             out += self.evaluation.lines()
         return [*out, verdict_line(self.findings)]

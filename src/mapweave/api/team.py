@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..core import se2
-from ..core.findings import Finding, Unused, Verdict, of_robot, verdict, verdict_line
+from ..core.findings import Finding, Unused, Verdict, of_robot, shortly, verdict, verdict_line
 from ..core.landmark_log import LandmarkLog
 from ..core.names import in_order, robot_key
 from ..core.records import Track
@@ -251,7 +251,7 @@ class TeamResult(ResultBase):
             f"{sum(sum(m.sightings.values()) for m in self.local)} sightings",
         ]
         out += [f"robot {robot_key(d.robot)}: {d.decision}, {d.reason}" for d in self.fusion.decisions]
-        out += [f"warning: {f.told}" for f in self.findings]
+        out += [f"warning: {text}" for text in shortly(self.findings, named=True)]
         out += [] if self.score is None else team_lines(self.score)
         return [*out, verdict_line(self.findings)]
 

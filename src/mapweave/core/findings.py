@@ -4,6 +4,7 @@
 """
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
@@ -1069,6 +1070,24 @@ def verdict(findings: Iterable[Finding]) -> Verdict:
     """`good` where nothing doubts the result, else what the gravest finding makes of it."""
     grave = {f.severity for f in findings}
     return "bad" if "bad" in grave else "doubtful" if "doubtful" in grave else "good"
+
+
+MOST_ALIKE = 3  # findings of one code and robot that are told in full
+
+
+def shortly(findings: Sequence[Finding], *, named: bool = False) -> list[str]:
+    """What people read, `named` with their robots: of each code and robot the first few, and how many more."""
+    of = Counter((f.code, f.robot) for f in findings)
+    seen, lines = Counter[tuple[str, str | None]](), []
+    for f in findings:
+        key = f.code, f.robot
+        seen[key] += 1
+        if seen[key] <= MOST_ALIKE or of[key] == MOST_ALIKE + 1:
+            lines.append(f.told if named else f.text)
+        elif seen[key] == MOST_ALIKE + 1:
+            whose = f"robot {f.robot}: " if named and f.robot is not None else ""
+            lines.append(f"{whose}{of[key] - MOST_ALIKE} more of {f.code}: metrics.json has all")
+    return lines
 
 
 def verdict_line(findings: Sequence[Finding]) -> str:

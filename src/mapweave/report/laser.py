@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.findings import Finding
+from ..core.findings import Finding, shortly
 from ..core.names import robot_name
 from ..core.records import Track
 from ..laser.laser_map import LaserMap
@@ -185,7 +185,7 @@ def _robot(
         SHADES,
         figures / f"{name}_map.png",
     )
-    for warning in local_map.warnings:
+    for warning in shortly(local_map.findings):
         page.text(warning, warn=True)
     for reason, count in local_map.dropped.items():
         page.text(f"Left out: {count:,} x {reason}.")

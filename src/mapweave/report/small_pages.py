@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from ..core.findings import Finding
+from ..core.findings import Finding, shortly
 from ..core.names import robot_key
 from ..core.records import Track
 from ..laser.laser_map import GridMap
@@ -256,7 +256,7 @@ def write_range_report(folder: Path, story: RangeStory) -> None:
             png,
         )
         if k == 0:
-            page.warnings([found.told for found in story.findings])
+            page.warnings(shortly(story.findings, named=True))
     for line in story.told:
         page.text(line)
     page.section("Radios")

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.findings import Finding
+from ..core.findings import Finding, shortly
 from ..core.names import in_order, robot_key
 from ..evaluation.consistency import mean_or_none
 from ..evaluation.landmarks import exchanges_told
@@ -52,7 +52,7 @@ def write_team_report(folder: Path, story: TeamStory) -> None:
     figures = folder / "figures"
     page.section("Map" if len(story.maps) == 1 else f"Component 1: {named(team.robots)}")
     _map(page, figures / "fused_map.png", story, team)
-    page.warnings([found.told for found in story.findings])
+    page.warnings(shortly(story.findings, named=True))
     for k, other in enumerate(story.maps[1:], 2):
         page.section(f"Component {k}: {named(other.robots)}")
         _map(page, figures / f"component_{k}.png", story, other)
@@ -384,7 +384,7 @@ def write_mixed_report(folder: Path, story: MixedStory, growth: Sequence[Mapping
         png = folder / "figures" / ("map.png" if k == 0 else f"component_{k + 1}.png")
         page.scene(mixed_scene(story, k), "Walls as lasers saw them, landmarks, and where every robot went.", png)
         if k == 0:
-            page.warnings([found.told for found in story.findings])
+            page.warnings(shortly(story.findings, named=True))
     if story.lines:
         page.section("Against the truth")
         for line in story.lines:
