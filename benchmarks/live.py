@@ -233,6 +233,7 @@ def flooding(at: str) -> None:
     scan = ScanBeams(
         t=1.0, n=MOST_BEAMS, ranges=beams, hit=b"\xff" * (MOST_BEAMS // 8), light=None, angle_min=0.0,
         angle_increment=3e-4, range_max=10.0, mount=(0.0, 0.0, 0.0), host="", odometry=(0.0, 0.0, 0.0),
+        heading=None,
     )  # fmt: skip
     first = {"run": "a", "sensor": "laser", "source": "", "odometry": True}
     junk, topics = np.random.default_rng(1).bytes(LARGEST), Topics("team")
