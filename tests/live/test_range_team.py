@@ -139,6 +139,14 @@ def test_while_they_drive_robots_and_beacons_stand_where_ranges_place_them(drive
     assert shared.decisions == found.decisions
 
 
+def test_a_robot_that_is_not_heard_is_no_beacon(told, tmp_path):
+    with Store(tmp_path / "s.sqlite", "a map") as store:
+        result = _final(heard(store, {name: told[name] for name in ("r1", "r2")}), MapOptions(), print)
+    assert result.network.robots == ("robot1", "robot2")
+    assert result.network.beacons == ("beacon1", "beacon2")
+    assert result.network.dropped["range to a robot that told no odometry"] > 100
+
+
 def test_a_robot_knows_its_odometry_and_how_it_may_err(told):
     first, *rest = map(decode, told["r2"])
     robot = RangeRobot(first)

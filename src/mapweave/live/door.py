@@ -154,6 +154,7 @@ def _header(message: Header) -> None:
     _texts(message.run, message.source, message.odometry_from, message.log_hash)
     _landmarks(message.names)
     _landmarks(message.bearing_names)
+    _landmarks(message.others)
     _counts(message.dropped)
     _findings(message.findings)
     _unused(message.unused)

@@ -49,9 +49,9 @@ class Header(_Message, tag="header", frozen=True):
 
     sensor: "landmarks", "laser" or "ranges"; log_robot: `robotK`, of ranges any name; names: landmarks and robots by
     the index that `Rows.what` counts from (`Radios.whom`: itself, robots and beacons), bearing_names: those that
-    `Rows.bearing_what` does; antenna: [m, m] where a radio's stands on the robot; odometry: whether there is any;
-    odometry_from, log_hash, sweep ([s] that a scan takes, as its driver states it): of a laser's log; misread: stamps
-    of sightings that were left out, a column.
+    `Rows.bearing_what` does; antenna: [m, m] where a radio's stands on the robot, others: names that are robots too, of
+    ranges; odometry: whether there is any; odometry_from, log_hash, sweep ([s] that a scan takes, as its driver states
+    it): of a laser's log; misread: stamps of sightings that were left out, a column; fixes: of what its fixes are.
     """
 
     robot: str
@@ -71,6 +71,7 @@ class Header(_Message, tag="header", frozen=True):
     misread: bytes = b""
     sweep: float = 0.0
     antenna: Numbers = ()
+    others: list[str] = []
     fixes: FixSource | None = None
 
 

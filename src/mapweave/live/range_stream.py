@@ -47,6 +47,7 @@ def of_robot(log: RangeLog, name: str) -> RangeLog:
         dropped=log.dropped if first else {},
         unused=log.unused if first else (),
         findings=log.findings if first else (),
+        others=tuple(one for one in robots if one != name),
     )
 
 
@@ -78,6 +79,7 @@ def of_team(logs: Sequence[RangeLog]) -> RangeLog:
         log_hash=" ".join(dict.fromkeys(log.log_hash for log in logs)),
         unused=tuple(left for log in logs for left in log.unused),
         findings=tuple(found for log in logs for found in log.findings),
+        others=tuple(dict.fromkeys(name for log in logs for name in log.others if name not in robots)),
     )
 
 
@@ -105,6 +107,7 @@ def messages_of_ranges(log: RangeLog, robot: str, run: str, period: float) -> It
             odometry=True,
             log_hash=log.log_hash,
             names=list(log.names),
+            others=list(log.others),
             antenna=() if antenna is None else tuple(antenna.tolist()),
             fixes=source_of(log.fixes.get(name)),
             dropped=dict(dropped),
@@ -227,6 +230,7 @@ def ranges_told(messages: Iterable[Message]) -> RangeLog | None:
         log_hash=h.log_hash,
         unused=tuple(map(unused_of, h.unused)),
         findings=tuple(map(finding_of, h.findings)),
+        others=tuple(h.others),
     )
 
 

@@ -209,7 +209,8 @@ class RangeLog:
     """odometry: robot -> its track in a frame of its own; a, b: (k,) who ranged to whom, into `names`, robots first;
 
     t: (k,) [s]; z: (k,) [m]; antennas: name -> where its antenna stands on the robot [m, m]; known: beacons whose
-    place is known, with their sd [m]; fixes: of robots; dropped: reason -> rows.
+    place is known, with their sd [m]; fixes: of robots; dropped: reason -> rows; others: those of `names` that are
+    robots too, and no beacons, whose odometry is elsewhere.
     """
 
     odometry: Mapping[str, Track]
@@ -226,6 +227,7 @@ class RangeLog:
     log_hash: str = ""
     unused: tuple[Unused, ...] = ()
     findings: tuple[Finding, ...] = ()
+    others: tuple[str, ...] = ()
 
     @property
     def span(self) -> tuple[float, float]:
@@ -309,6 +311,7 @@ def network_of(log: RangeLog, clocks: Mapping[str, StampShift] | None = None) ->
 def _kept(log: RangeLog, robots: tuple[str, ...]) -> tuple[Int[np.ndarray, " m"], dict[str, int]]:
     """Which ranges can be used, in order of time, and how many could not, by reason."""
     dropped = dict(log.dropped)
+    elsewhere = [k for k, name in enumerate(log.names) if name in log.others and name not in robots]
     keep = np.ones(len(log.z), bool)
     outside = np.zeros(len(log.z), bool)
     for end in (log.a, log.b):
@@ -321,6 +324,7 @@ def _kept(log: RangeLog, robots: tuple[str, ...]) -> tuple[Int[np.ndarray, " m"]
     for reason, bad in (
         ("range to itself", log.a == log.b),
         (NO_NUMBER, ~(np.isfinite(log.z) & (log.z > 0))),
+        ("range to a robot that told no odometry", np.isin(log.a, elsewhere) | np.isin(log.b, elsewhere)),
         ("range while odometry is silent", outside),
     ):
         wrong = bad & keep
