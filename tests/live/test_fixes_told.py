@@ -12,7 +12,6 @@ from mapweave.core.fixes import Fixes
 from mapweave.io.range_bags import read_range_bag
 from mapweave.live.door import decode
 from mapweave.live.fix_stream import FixRecord
-from mapweave.live.inbox import Inbox
 from mapweave.live.landmark_stream import LandmarkRecord
 from mapweave.live.laser_stream import LaserRecord
 from mapweave.live.messages import FixSource, Header, RefusedError, Rows, Scans, encode, pack
@@ -22,7 +21,7 @@ from mapweave.live.store import Store
 from mapweave.sim.laser import DATUM
 
 from .processes import same_result
-from .teams import team
+from .teams import heard, team
 from .test_laser_team import drive
 
 SOURCE = FixSource(frame="utm", topic="/fix", antenna=(0.0, 0.0), dropped={})
@@ -47,20 +46,15 @@ def of_landmarks():
     return replace(log, fixes=fixed(*log.span))
 
 
-def heard(store, logs):
-    inbox = Inbox(store)
-    for name, log in logs.items():
-        for _, message in messages(log, name, "a", 1.0):
-            inbox.offer(name, encode(message), 0.0)
-    inbox.save()
-    return inbox
+def told(logs):
+    return {name: [encode(m) for _, m in messages(log, name, "a", 1.0)] for name, log in logs.items()}
 
 
 @pytest.mark.parametrize("made", [of_lasers, of_landmarks])
 def test_fixes_are_the_same_to_the_bit_once_told(made, tmp_path):
     log = made()
     with Store(tmp_path / "s.sqlite", "a map") as store:
-        inbox = heard(store, {"r1": log})
+        inbox = heard(store, told({"r1": log}))
         assert not inbox.ledgers["r1"].fault
         again = inbox.log("r1").fixes
     for column in ("t", "place", "cov", "antenna"):
@@ -76,7 +70,7 @@ def test_a_ranging_team_with_receivers_lies_in_the_world_as_its_recording_does(t
     assert direct.georeference is not None
     whole = read_range_bag(home)
     with Store(tmp_path / "s.sqlite", "a map") as store:
-        inbox = heard(store, {name: of_robot(whole, name) for name in whole.odometry})
+        inbox = heard(store, told({name: of_robot(whole, name) for name in whole.odometry}))
         _final(inbox, MapOptions(), print).write(tmp_path / "out")
     same_result(tmp_path / "direct", tmp_path / "out")
 

@@ -26,6 +26,7 @@ from mapweave.live.transport import Network, session
 from mapweave.live.weaving import ALONE, Placed
 
 from .processes import Fleet, same_result
+from .teams import heard, heard_late_and_twice
 
 NAMES = [f"r{k}" for k in range(1, 7)]  # two lasers, two cameras, a camera and an eye that tell bearings alone
 
@@ -56,15 +57,6 @@ def told(team):
     }
 
 
-def heard(store, told):
-    inbox = Inbox(store)
-    for name, each in told.items():
-        for payload in each:
-            inbox.offer(name, payload, 0.0)
-    inbox.save()
-    return inbox
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_a_robots_log_is_told_whole(team, told, tmp_path, name):
     log = open_source(str(team[0]), name, None)
@@ -85,13 +77,8 @@ def test_a_robots_log_is_told_whole(team, told, tmp_path, name):
 @pytest.mark.parametrize("seed", range(2))
 def test_messages_late_and_doubled_give_the_map_of_the_logs(told, direct, tmp_path, seed):
     rng = np.random.default_rng(seed)
-    every = [(name, payload) for name, each in told.items() for payload in each]
-    every += [every[i] for i in rng.integers(len(every), size=len(every) // 3)]
     with Store(tmp_path / "s.sqlite", "a map") as store:
-        inbox = Inbox(store)
-        for i in rng.permutation(len(every)):
-            inbox.offer(*every[i], 0.0)
-        inbox.save()
+        inbox = heard_late_and_twice(store, told, rng)
         assert all(ledger.complete for ledger in inbox.ledgers.values())
         _final(inbox, MapOptions(), print).write(tmp_path / "out")
     same_result(direct, tmp_path / "out")

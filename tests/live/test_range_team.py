@@ -13,7 +13,6 @@ from mapweave.core import se2
 from mapweave.core.errors import UsageError
 from mapweave.io.range_bags import read_range_bag
 from mapweave.live.door import decode
-from mapweave.live.inbox import Inbox
 from mapweave.live.messages import Closed, Header, Radios, RefusedError, encode, pack
 from mapweave.live.range_stream import (
     RangeRecord,
@@ -22,6 +21,7 @@ from mapweave.live.range_stream import (
     of_robot,
     of_team,
     ranged,
+    ranged_again,
     ranges_told,
 )
 from mapweave.live.shared_map import SharedMap
@@ -30,7 +30,7 @@ from mapweave.live.store import Store
 from mapweave.ranges.network import network_of
 
 from .processes import Fleet, same_result
-from .teams import payloads
+from .teams import heard, heard_late_and_twice, payloads
 from .teams import team as landmark_team
 
 NAMES = ("r1", "r2", "r3")
@@ -56,15 +56,6 @@ def told(drive):
     """What each robot tells, message by message."""
     source = str(drive[0] / "log")
     return {name: [encode(m) for _, m in messages(open_source(source, name, None), name, "a", 1.0)] for name in NAMES}
-
-
-def heard(store, told):
-    inbox = Inbox(store)
-    for name, each in told.items():
-        for payload in each:
-            inbox.offer(name, payload, 0.0)
-    inbox.save()
-    return inbox
 
 
 @pytest.mark.parametrize("period", [0.3, 1.0, 1e6])
@@ -101,13 +92,8 @@ def test_what_robots_tell_is_the_log_they_are_of_whatever_was_wrong_with_it(driv
 @pytest.mark.drawn
 def test_messages_late_and_doubled_give_the_map_of_the_recording(direct, told, tmp_path):
     rng = np.random.default_rng(1)
-    every = [(name, payload) for name, each in told.items() for payload in each]
-    every += [every[i] for i in rng.integers(len(every), size=len(every) // 3)]
     with Store(tmp_path / "s.sqlite", "a map") as store:
-        inbox = Inbox(store)
-        for i in rng.permutation(len(every)):
-            inbox.offer(*every[i], 0.0)
-        inbox.save()
+        inbox = heard_late_and_twice(store, told, rng)
         assert all(ledger.complete for ledger in inbox.ledgers.values())
         _final(inbox, MapOptions(), print).write(tmp_path / "out")
     same_result(direct, tmp_path / "out")
@@ -145,6 +131,17 @@ def test_a_robot_that_is_not_heard_is_no_beacon(told, tmp_path):
     assert result.network.robots == ("robot1", "robot2")
     assert result.network.beacons == ("beacon1", "beacon2")
     assert result.network.dropped["range to a robot that told no odometry"] > 100
+
+
+def test_a_team_is_placed_from_the_store_by_its_own_names_without_who_told_no_odometry(told, tmp_path):
+    with Store(tmp_path / "s.sqlite", "a map") as store:
+        inbox = heard(store, {**{name: told[name][:25] for name in ("r1", "r2")}, "r3": told["r3"][:1]})
+        found = ranged_again(store, {name: ledger.sure for name, ledger in inbox.ledgers.items()})
+        apart = ranged([inbox.log(name) for name in ("r1", "r2")])
+    assert set(found.placed) == {"r1", "r2"}
+    np.testing.assert_array_equal(found.placed["r2"].frame, apart.placed["robot2"].frame)
+    assert [b.id for b in found.beacons] == ["beacon1", "beacon2"]
+    assert list(found.decisions) == list(apart.decisions)
 
 
 def test_a_robot_knows_its_odometry_and_how_it_may_err(told):

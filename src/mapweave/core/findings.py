@@ -818,8 +818,8 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
         ),
         "odometry-slips": FindingKind(
             "note",
-            "its odometry errs by {value:.0f} times what wheels do, by its ranges",
-            "Its wheels slip, or its odometry has another scale: it counts by as much less then.",
+            "its odometry errs by {value:.0f} times what it does mostly, by its ranges",
+            "Its wheels slip for a while, or its odometry has another scale then: it counts by as much less.",
             "Look at its odometry.",
         ),
         "range-lag": FindingKind(

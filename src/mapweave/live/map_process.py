@@ -45,7 +45,7 @@ from .messages import (
     triangle,
     unpack_triangle,
 )
-from .range_stream import RangedTeam, RangeRecord, ranged, ranges_told
+from .range_stream import RangedTeam, RangeRecord, ranged_again
 from .shared_map import Fused, SharedMap, judged
 from .store import Store
 from .told import MOST_MAPS
@@ -213,21 +213,6 @@ def _joined(joins: Joins, store: Store, heard: Mapping[str, int], apart: Apart) 
     joined, _, failed = without_culprits(list(logs), lambda some: joins(apart, [logs[name] for name in some]))
     why = [f"{name}: not laid beside laser robots: {error}" for name, error in failed.items()]
     return replace(joined or Joined(), decisions=[*(joined or Joined()).decisions, *why])
-
-
-def _ranged(store: Store, heard: Mapping[str, int]) -> RangedTeam:
-    """Where those stand, robot -> its first number missing, who have told odometry; of those it can be told of."""
-    logs = {}
-    for name, end in heard.items():
-        log = ranges_told(decode(payload) for _, payload in store.get(name, 0, end - 1))
-        if log is not None:
-            logs[name] = log
-    called = {robot: name for name, log in logs.items() for robot in log.odometry}
-    found, _, failed = without_culprits(list(logs), lambda some: ranged([logs[name] for name in some]))
-    found = found or RangedTeam()
-    why = [f"{name}: not placed by ranges: {error}" for name, error in failed.items()]
-    placed = {called[robot]: place for robot, place in found.placed.items()}
-    return replace(found, placed=placed, decisions=[*found.decisions, *why])
 
 
 @dataclass(slots=True)
@@ -484,7 +469,7 @@ class MapProcess:
         if not heard or heard == self._ranged_of or now < self._range_due:
             return
         self._ranged_of = heard
-        self._ranging = now, beside(partial(_ranged, self._store, heard))
+        self._ranging = now, beside(partial(ranged_again, self._store, heard))
 
     def _mixed(self, woven: WovenTeam) -> Apart:
         """What is known of a mixed team, by the names in its logs."""

@@ -16,10 +16,12 @@ from ..core.names import in_order
 from ..core.records import Track
 from ..ranges.estimate import PlacedPart, estimate
 from ..ranges.network import NO_NUMBER, RangeLog, RangeNetwork, network_of, steps
-from .door import expect_span, expect_steps
+from .door import decode, expect_span, expect_steps
 from .fix_stream import FixRecord, cuts_of, fixes_of, packed, source_of
+from .isolation import without_culprits
 from .landmark_stream import indexed
 from .messages import Closed, Header, LandmarkState, Message, Numbered, Radios, RefusedError, pack, unpack
+from .store import Store
 from .weaving import Placed
 
 MOST_RANGES = 20_000  # in one message; a packet of more is split
@@ -291,6 +293,24 @@ def ranged(logs: Sequence[RangeLog]) -> RangedTeam:
     n, twofold = len(found.parts), [k for k, part in enumerate(found.parts, 1) if part.mirrored]
     said = [f"{n} parts that no ranges tie"] if n > 1 else []
     return RangedTeam(placed, beacons, [*said, *(f"part {k} may lie otherwise too: ranges fit both" for k in twofold)])
+
+
+def ranged_again(store: Store, heard: Mapping[str, int]) -> RangedTeam:
+    """Where those stand, by the team's names, whose messages are in the store: robot -> its first number missing.
+
+    Of those that it can be told of; why not of others is said in its decisions.
+    """
+    logs = {}
+    for name, end in heard.items():
+        log = ranges_told(decode(payload) for _, payload in store.get(name, 0, end - 1))
+        if log is not None:
+            logs[name] = log
+    called = {robot: name for name, log in logs.items() for robot in log.odometry}
+    found, _, failed = without_culprits(list(logs), lambda some: ranged([logs[name] for name in some]))
+    found = found or RangedTeam()
+    why = [f"{name}: not placed by ranges: {error}" for name, error in failed.items()]
+    placed = {called[robot]: place for robot, place in found.placed.items()}
+    return replace(found, placed=placed, decisions=[*found.decisions, *why])
 
 
 def _placed(
