@@ -21,11 +21,14 @@ with tempfile.TemporaryDirectory() as folder:
     home = Path(folder)
     mapweave.simulate_landmarks(home / "team", robots=2, minutes=0.7, seed=4)
 
+    told: dict[str, mapweave.LiveRobot] = {}
+
     # Each robot is a process on its own machine; here they are threads. A rate of 1 drives in real time.
     def drive(name: str) -> None:
         network = mapweave.Network(connect=(at,))
-        told = mapweave.live_robot(name, home / "team", rate=math.inf, history=home / name, network=network, say=quiet)
-        print(f"{told.name} told {told.messages} messages")
+        told[name] = mapweave.live_robot(
+            name, home / "team", rate=math.inf, history=home / name, network=network, say=quiet
+        )
 
     robots = [Thread(target=drive, args=(name,)) for name in ("r1", "r2")]
     for robot in robots:
@@ -36,4 +39,6 @@ with tempfile.TemporaryDirectory() as folder:
     result = mapweave.live_map(home / "map", robots=["r1", "r2"], network=network, say=quiet)
     for robot in robots:
         robot.join()
+    for name in sorted(told):
+        print(f"{name} told {told[name].messages} messages")
     print(result.summary())
