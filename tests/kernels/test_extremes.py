@@ -12,7 +12,7 @@ from mapweave.kernels.cells import FARTHEST, cell_of
 from mapweave.kernels.exploration.objective import mark_half_disc, unexplored_cells
 from mapweave.kernels.landmarks.submap import relation_normal
 from mapweave.kernels.laser import icp
-from mapweave.kernels.laser.beams import beam_lines
+from mapweave.kernels.laser.beams import beam_lines, scan_returns, spacing
 from mapweave.kernels.laser.icp import IcpRules, intensity_icp, sort_into_cells
 from mapweave.kernels.laser.joint_scans import BeamIndex, LineGate, ScanLines, beams_by_direction, match_pairs
 from mapweave.kernels.laser.local_map import MatchCost, ScanPoints, add_points, align_scan, count_matches, fit_lines
@@ -253,6 +253,8 @@ def lined(x):
     n = x.count()
     half = int(x.rng.choice([0, 2, 10**9]))
     beam_lines(x(n), x(n), np.abs(x(n)), x.marks(n), half, 0.1, 0.1)
+    seen = scan_returns(x(n), x.marks(n), (0.02, 25.0), tuple(x(2).tolist()), x.poses(), half, 0.1, 0.1)
+    assert len(spacing(seen.s)) == len(seen.beam) <= n
 
 
 def viewed(x):

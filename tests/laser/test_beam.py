@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from mapweave.core import se2
 from mapweave.core.records import Scan
+from mapweave.kernels.laser.beams import spacing
 from mapweave.laser.beam import BeamConfig, IntensityCalibration, beams, insertion_weight
 
 pytestmark = pytest.mark.kernel
@@ -59,3 +61,27 @@ def test_the_feature_takes_out_range_and_incidence_and_is_capped():
 
 def test_a_return_counts_fully_up_to_a_metre_and_then_falls_with_range_squared():
     assert np.allclose(insertion_weight(np.array([0.3, 1.0, 2.0, 10.0])), [1, 1, 0.25, 0.01])
+
+
+def test_returns_are_where_the_sensor_is_mounted_and_keep_their_numbers():
+    mount, angles = np.array([0.2, -0.1, 0.7]), np.linspace(-1.0, 1.0, 21)
+    ranges = np.array([2.0, np.nan, 30.0, 0.01, *np.linspace(3.0, 4.0, 17)])
+    hit = np.ones(21, bool)
+    hit[7] = False
+    scan = Scan(ranges, hit, None, -1.0, 0.1, 10.0, mount)
+    b = beams(scan, "none", None, BeamConfig())
+    kept = np.setdiff1d(np.arange(21), [1, 2, 3, 7])
+    assert b.beam.tolist() == kept.tolist()
+    at = np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles)])[kept]
+    np.testing.assert_allclose(b.s, se2.act(mount, at), atol=1e-12)
+    np.testing.assert_allclose(b.r, ranges[kept])
+    np.testing.assert_allclose(np.hypot(*b.normal.T), 1.0)
+    towards = se2.act(mount, np.zeros(2)) - b.s
+    np.testing.assert_allclose((b.normal * towards).sum(axis=1) / b.r, b.c, atol=1e-12)
+
+
+def test_a_return_is_as_far_apart_as_the_nearer_of_those_beside_it():
+    points = np.array([[0.0, 0.0], [0.3, 0.4], [0.3, 1.4], [3.3, 5.4]])
+    np.testing.assert_allclose(spacing(points), [0.5, 0.5, 1.0, 5.0])
+    assert spacing(points[:1]).tolist() == [0.0]
+    assert spacing(points[:0]).tolist() == []

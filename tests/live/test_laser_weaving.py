@@ -343,6 +343,22 @@ def test_a_driven_estimate_is_that_of_the_whole_log_and_keeps_returns_of_keyfram
     assert sum(b.s.size for b in whole._state().scans) > 0
 
 
+def test_while_messages_wait_scans_are_passed_over_that_show_less_new_and_the_way_stays_what_it_is(tmp_path):
+    store, heard = filled(tmp_path / "s.sqlite")
+    with store:
+        at_ease, hurried = (LiveLaserTeam(store, CFG, docked) for _ in range(2))
+        for end in range(2, max(heard.values()) + 1):
+            at_ease.follow({name: min(n, end) for name, n in heard.items()})
+        while hurried.follow(heard):
+            pass
+    sessions = [team.robots["r1"].session for team in (at_ease, hurried)]
+    assert at_ease.robots["r1"].next == hurried.robots["r1"].next
+    scans = [len(session._state().scans) for session in sessions]
+    assert 0.3 * scans[0] < scans[1] < 0.8 * scans[0]
+    off = se2.between(*(session.now.pose for session in sessions))
+    assert np.hypot(*off[:2]) < 0.3
+
+
 @pytest.fixture
 def leaving(monkeypatch):
     """Settings with which keyframes leave as soon as a place was found again."""

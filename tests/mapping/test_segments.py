@@ -101,7 +101,7 @@ def test_a_view_fades_the_sooner_the_farther_the_robot_drove_and_a_narrow_one_as
 def test_wheels_that_tell_more_than_robots_move_between_two_scans_do_not_lead_on():
     faded = info(share=0.4, decision="odometry")
     assert after(faded, np.array([0.45, 0.0, 0.4])) == FADED
-    assert after(faded, np.array([0.9, 0.0, 0.1])) == after(faded, np.array([0.3, 0.0, 1.0])) == REFUSED
+    assert after(faded, np.array([1.0, 0.0, 0.1])) == after(faded, np.array([0.3, 0.0, 1.1])) == REFUSED
 
 
 def test_over_a_border_where_wheels_lead_on_they_are_known_to_err_the_less_the_less_they_tell():

@@ -18,7 +18,7 @@ from ..core import se2
 from ..core.config import config
 from ..core.gaussian import symmetrise
 from ..core.records import Scan, freeze, frozen
-from ..kernels.laser.beams import beam_lines
+from ..kernels.laser.beams import scan_returns
 
 LEAST_INTENSITY = 0.0  # returns at or under this bear no light
 CALIBRATION_ITERATIONS = 12  # of the robust fit, at most
@@ -133,27 +133,24 @@ def beams(scan: Scan, feature: str, calibration: IntensityCalibration | None, cf
     was measured; both need `calibration` (for `raw` its scale alone is read); `none`: 0.
     """
     n = len(scan.ranges)
-    r = np.asarray(scan.ranges, float)
-    with np.errstate(invalid="ignore"):
-        hit = scan.hit & np.isfinite(r) & (r > cfg.least_range) & (r < min(scan.range_max, cfg.greatest_range))
-    intensity = np.zeros(n) if scan.intensities is None else np.nan_to_num(scan.intensities, posinf=0.0, neginf=0.0)
-    if feature == "raw":
-        hit = hit & (intensity > LEAST_INTENSITY)
-    r = np.where(hit, r, 1.0)
-    angle = scan.angle_min + scan.angle_increment * np.arange(n)
-    x, y = r * np.cos(angle), r * np.sin(angle)
-    half = max(2, round(LINE_ANGLE / max(abs(scan.angle_increment), 1e-6)))
-    normal, c, support = beam_lines(x, y, r, hit, half, BEAM_NEAR, BEAM_NEAR_SHARE)
-    index = np.flatnonzero(hit)
-    r, c, intensity = r[index], c[index], intensity[index]
-    q = _feature(intensity, r, c, feature, calibration)
-    s = se2.act(scan.T_robot_sensor, np.column_stack([x[index], y[index]]))
-    turned = normal[index] @ se2.rotation(float(scan.T_robot_sensor[2])).T
+    every = np.zeros(n) if scan.intensities is None else np.nan_to_num(scan.intensities, posinf=0.0, neginf=0.0)
+    hit = scan.hit & (every > LEAST_INTENSITY) if feature == "raw" else scan.hit
+    s, normal, r, c, support, beam = scan_returns(
+        frozen(scan.ranges),
+        frozen(hit, np.bool_),
+        (float(cfg.least_range), float(min(scan.range_max, cfg.greatest_range))),
+        (float(scan.angle_min), float(scan.angle_increment)),
+        frozen(scan.T_robot_sensor),
+        max(2, round(LINE_ANGLE / max(abs(scan.angle_increment), 1e-6))),
+        BEAM_NEAR,
+        BEAM_NEAR_SHARE,
+    )
+    light = every[beam]
     if scan.motion is not None and n > 1:
-        there = se2.exp(np.outer(index / (n - 1) - 0.5, se2.log(scan.motion)))
-        s, turned = se2.act(there, s), se2.act(there * [0.0, 0.0, 1.0], turned)
-    w = insertion_weight(r)
-    return Beams(s, q, w, np.ascontiguousarray(turned), r, c, intensity, support[index], index)
+        there = se2.exp(np.outer(beam / (n - 1) - 0.5, se2.log(scan.motion)))
+        s, normal = se2.act(there, s), np.ascontiguousarray(se2.act(there * [0.0, 0.0, 1.0], normal))
+    q = _feature(light, r, c, feature, calibration)
+    return Beams(s, q, insertion_weight(r), normal, r, c, light, support, beam)
 
 
 def insertion_weight(r: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

@@ -215,9 +215,11 @@ def _believed(
                 return asked, pose, rounds, iterations
             control = CONTRADICTION / (2.0 * worst - CONTRADICTION)  # [Yang20] remark 5
         high = (control + 1.0) / control * CONTRADICTION
-        weight = np.where(may, truncated_weights(s, CONTRADICTION, control), asked)
+        before, weight = weight, np.where(may, truncated_weights(s, CONTRADICTION, control), asked)
         control *= ROBUST_GRAPH_GROWTH
-        if ((weight > 1.0 - 1e-6) | (weight <= FADED)).all() and high < 1.05 * CONTRADICTION:
+        decided = bool(((weight > 1.0 - 1e-6) | (weight <= FADED)).all())
+        settled = solution.converged and np.array_equal(weight, before)  # a harder kernel would change none of them
+        if decided and (settled or high < 1.05 * CONTRADICTION):
             break
     s = _squares(replace(graph, pose=pose))
     return asked & (~may | (s <= CONTRADICTION)), pose, rounds, iterations

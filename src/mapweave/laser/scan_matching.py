@@ -14,6 +14,7 @@ from jaxtyping import Complex, Float
 from ..core import se2
 from ..core.config import config
 from ..core.errors import ConfigError
+from ..kernels.laser.beams import spacing
 from ..kernels.laser.local_map import MatchCost, ScanPoints, add_points, align_scan, count_matches, fit_lines
 from ..kernels.mapping.places import heading_peaks
 from .beam import Beams
@@ -289,10 +290,7 @@ class FrontEnd:
 
 def _points(b: Beams, alpha: float) -> ScanPoints:
     """The returns of a scan for matching. alpha: 0 where light tells nothing of where along a wall a return is."""
-    apart = np.zeros(len(b.s))
-    if alpha == 0.0 and len(b.s) > 1:
-        step = np.hypot(*np.diff(b.s, axis=0).T)
-        apart = np.minimum(np.append(step, np.inf), np.append(np.inf, step))
+    apart = spacing(b.s) if alpha == 0.0 else np.zeros(len(b.s))
     return ScanPoints(b.s, b.normal, b.q, apart)
 
 

@@ -4,6 +4,7 @@ Poor wheels hold a robot nowhere; good ones hold it along a corridor in which sc
 against rooms that look alike.
 """
 
+import math
 from bisect import insort
 from collections.abc import Callable
 
@@ -56,6 +57,13 @@ class Median:
     def of(self, careful: float) -> float:
         """The standard deviation that it tells of numbers that are normal, else as `Spread`."""
         return float(np.clip(careful * self.sizes[len(self.sizes) // 2] / MEDIAN, LEAST, MOST))
+
+
+def _least_held(lines: Float[np.ndarray, "3 3"]) -> float:
+    """How much the direction is held of which `lines` tell least, headings being free."""
+    (a, b, u), (_, c, v), (_, _, w) = lines.tolist()
+    a, b, c = (one - two / max(w, 1e-9) for one, two in ((a, u * u), (b, u * v), (c, v * v)))
+    return float(0.5 * (a + c) - math.hypot(0.5 * (a - c), b))
 
 
 class WheelWorth:
@@ -136,8 +144,7 @@ class WheelWorth:
             self._step_turn.see(float(abs(innovation[2]) / sd[2]))
             for median, z in zip(self._any, np.abs(innovation) / sd, strict=True):
                 median.see(float(z))
-        held = lines[:2, :2] - np.outer(lines[:2, 2], lines[:2, 2]) / max(lines[2, 2], 1e-9)
-        if np.linalg.eigvalsh(held)[0] < HOLDS * whole:
+        if _least_held(lines) < HOLDS * whole:
             self.interrupted()
             return
         if moves:

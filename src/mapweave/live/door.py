@@ -92,6 +92,11 @@ def decode(payload: bytes) -> Message:
     return message
 
 
+def kept(payload: bytes) -> Message:
+    """The message of a payload that the store holds: what came of `decode` when it came was in its place."""
+    return _decoder.decode(payload)
+
+
 def envelope_of(payload: bytes) -> Envelope | None:
     """Whose message it is and which one, be the rest of it what it may; None where it does not even tell that."""
     try:

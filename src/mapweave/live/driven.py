@@ -29,6 +29,7 @@ NO_POINTS = np.zeros((0, 2))
 FOLLOWED_STEP = 0.15  # [m] of odometry from a scan that is followed to the next of the same scanner: half a keyframe's
 FOLLOWED_TURN = 0.15  # [rad] of it, the same
 FOLLOWED_EVERY = 0.5  # [s] from one to the next, however little a robot moves
+HURRIED = 3.0  # times these while messages wait
 
 
 class Seen(NamedTuple):
@@ -45,12 +46,14 @@ class DrivenSession(LaserSession):
     `FOLLOWED_STEP` and `FOLLOWED_TURN` since the last one, within `FOLLOWED_EVERY`, a scan is passed over. What it does
     not serve for is `finalise`, which lays every scan. Keyframes are
     known to others by the number of their scan, which never changes, while in places known well they leave the graph
-    and the later ones move up. left: what those saw that left since `left` was emptied last.
+    and the later ones move up. left: what those saw that left since `left` was emptied last. hurried: whether more
+    scans are passed over, since more come than can be followed.
     """
 
     def __init__(self, robot: str, cfg: LaserConfig, seed: int = 0) -> None:
         super().__init__(robot, cfg, seed)
         self.left: dict[int, Seen] = {}
+        self.hurried = False
         self._followed: dict[bytes, tuple[float, np.ndarray]] = {}  # by the scanner's place: stamp [s], odometry
         self._kept = 0  # scans before this one are let go, but for keyframes
 
@@ -88,8 +91,9 @@ class DrivenSession(LaserSession):
         if where in self._followed:
             before, odometry = self._followed[where]
             moved = se2.between(odometry, scan.odometry)
-            near = np.hypot(*moved[:2]) < FOLLOWED_STEP and abs(float(moved[2])) < FOLLOWED_TURN
-            if near and t < before + FOLLOWED_EVERY:
+            more = HURRIED if self.hurried else 1.0
+            near = np.hypot(*moved[:2]) < more * FOLLOWED_STEP and abs(float(moved[2])) < more * FOLLOWED_TURN
+            if near and t < before + more * FOLLOWED_EVERY:
                 return False
         self._followed[where] = t, np.array(scan.odometry)
         return True

@@ -23,7 +23,7 @@ from ..mapping.merge_search import Start, start_between
 from ..team.relation import SURE_THETA
 from ..team.relative_frame import PLACING_LEVER
 from ..team.walls import unless_far
-from .door import decode
+from .door import kept
 from .driven import DrivenSession
 from .isolation import in_words
 from .joined import Joined, into_one_frame
@@ -173,8 +173,14 @@ class LiveLaserTeam:
         self.search.ripe = RIPE
 
     def follow(self, heard: Mapping[str, int]) -> int:
-        """Work in a few messages of each robot; how many are left. heard: robot -> its first number missing."""
+        """Work in a few messages of each robot; how many are left. heard: robot -> its first number missing.
+
+        Where more than one of each waits, scans are passed over that show less new.
+        """
         left, most = 0, max(1, AT_ONCE // max(len(heard), 1))
+        waiting = sum(max(end - self.robots[name].next, 0) for name, end in heard.items() if name in self.robots)
+        for robot in self.robots.values():
+            robot.session.hurried = waiting > len(heard)
         for name, end in heard.items():
             begun = self.robots.get(name)
             first = 0 if begun is None else begun.next
@@ -187,7 +193,7 @@ class LiveLaserTeam:
     def _work_in(self, name: str, payloads: Sequence[tuple[int, bytes]]) -> None:
         """A robot's next messages; it begins with the first one."""
         for seq, payload in payloads:
-            message = decode(payload)
+            message = kept(payload)
             if isinstance(message, Header):
                 self.robots[name] = _Robot(LaserRecord(message), DrivenSession(message.log_robot, self.cfg))
                 continue

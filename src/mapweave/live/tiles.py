@@ -2,6 +2,7 @@
 
 import zlib
 from collections.abc import Mapping
+from functools import reduce
 
 import numpy as np
 from jaxtyping import Int, UInt8
@@ -46,6 +47,7 @@ def coarser(column: int, row: int, finer: Mapping[tuple[int, int], Cells]) -> Ce
         for i in range(COARSER):
             tile = finer.get((COARSER * column + i, COARSER * row + j))
             if tile is not None:
-                most = tile.reshape(part, COARSER, part, COARSER).max(axis=(1, 3))
+                rows = reduce(np.maximum, (tile[k::COARSER] for k in range(COARSER)))
+                most = reduce(np.maximum, (rows[:, k::COARSER] for k in range(COARSER)))
                 out[part * j : part * (j + 1), part * i : part * (i + 1)] = most
     return out

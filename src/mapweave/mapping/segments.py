@@ -4,6 +4,7 @@ Between two of them it is not: a match was refused, few returns match where whee
 the recording paused. Submaps never reach over such a border, its step is a weak prior, and places join what it parts.
 """
 
+from bisect import insort
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -75,16 +76,37 @@ def border_covariance(step: Float[np.ndarray, "3"], why: str = "") -> Float[np.n
     return np.diag(np.square([xy, xy, min(max(WEAK_TURN, WIDE * abs(float(step[2]))), ANY_TURN)]))
 
 
+class _Learned:
+    """What is usual of numbers that are seen: a quantile of the first ones of each. `see` changes it."""
+
+    def __init__(self, numbers: int, quantile: float) -> None:
+        self._seen: list[list[float]] = [[] for _ in range(numbers)]  # each in ascending order
+        self._quantile, self.usual = quantile, np.zeros(numbers)
+
+    def __len__(self) -> int:
+        return len(self._seen[0])
+
+    def see(self, row: Sequence[float]) -> None:
+        """One of each more, unless there are enough."""
+        if len(self) >= 10 * LEARNED:
+            return
+        for seen, x in zip(self._seen, row, strict=True):
+            insort(seen, float(x))
+        at = self._quantile * (len(self) - 1)
+        k, part = int(at), at % 1.0
+        self.usual = np.array([s[k] + part * (s[min(k + 1, len(s) - 1)] - s[k]) for s in self._seen])
+
+
 class Borders:
     """Which of the scans of one robot, as they come, begin a new segment. `seen` changes it."""
 
     def __init__(self) -> None:
         self._t = np.nan
-        self._apart: list[float] = []
+        self._apart = _Learned(1, 0.5)
         self._wheels: np.ndarray | None = None
-        self._speed: list[np.ndarray] = []
+        self._speed = _Learned(2, 0.95)
         self._leapt = False
-        self._steps: list[np.ndarray] = []
+        self._steps = _Learned(2, USUAL)
         self._share, self._why = np.nan, ""  # of the latest scan: of its returns those that match, and what came of it
         self._velocity = np.zeros((2, 2))  # [m/s] on the robot, over the last step and the last that was sure
 
@@ -95,14 +117,13 @@ class Borders:
             return False
         step = se2.between(before, wheels)
         moved = np.array([np.hypot(step[0], step[1]), abs(step[2])])
-        speed = moved / max(t - self._t, float(np.median(self._apart)))
+        speed = moved / max(t - self._t, float(self._apart.usual[0]))
         far = len(self._apart) >= LEARNED and bool((moved > LEAP).any())
         if far:
-            usual = np.quantile(self._speed, 0.95, axis=0) if self._speed else np.zeros(2)
-            fast = speed > LEAP_TIMES * np.maximum(usual, SLOW)
+            fast = speed > LEAP_TIMES * np.maximum(self._speed.usual, SLOW)
             far = bool(((moved > LEAP) & fast).any() and (fast[0] or set_to_zero(before, wheels)))
-        if (not far or self._leapt) and len(self._speed) < 10 * LEARNED:  # one after the other, they are a robot's way
-            self._speed.append(speed)
+        if not far or self._leapt:  # one after the other, they are a robot's way
+            self._speed.see(speed.tolist())
         self._leapt = far
         return far
 
@@ -116,26 +137,26 @@ class Borders:
         they may know nothing, nor where they tell more than robots move between two scans.
         """
         apart, self._t = t - self._t, t
-        pause = len(self._apart) >= LEARNED and apart > max(PAUSE, PAUSE_TIMES * float(np.median(self._apart)))
+        pause = len(self._apart) >= LEARNED and apart > max(PAUSE, PAUSE_TIMES * float(self._apart.usual[0]))
         why, last = self._unsure(apart, info, step, wheels=wheels, pause=pause), self._share
         self._share = np.nan if info.decision == "first" else info.matches / max(info.beams, 1)
         told = se2.compose(step, se2.inverse(info.innovation)) if info.decision == "matched" else step
         sudden = bool(last - self._share >= usual_drop(told, wide))
-        way = np.array([np.hypot(told[0], told[1]), abs(told[2])])
-        fast = bool((way > np.maximum(FAST, FAST_TIMES * np.quantile(self._steps, USUAL, axis=0))).any())
-        if why in {REFUSED, SLIP} and wheels and not (pause or sudden or fast) and self._why in {"", *WHEELED}:
-            why = FADED
+        if why in {REFUSED, SLIP} and wheels and not (pause or sudden) and self._why in {"", *WHEELED}:
+            way = np.array([np.hypot(told[0], told[1]), abs(told[2])])
+            fast = bool((way > np.maximum(FAST, FAST_TIMES * self._steps.usual)).any())
+            why = why if fast else FADED
         self._why = why
         return why
 
     def _unsure(self, apart: float, info: ScanInfo, step: Float[np.ndarray, "3"], *, wheels: bool, pause: bool) -> str:
         """Why the step to a scan `apart` [s] after the last is not sure, whatever wheels are worth."""
-        if np.isfinite(apart) and not pause and len(self._apart) < 10 * LEARNED:
-            self._apart.append(apart)
+        if np.isfinite(apart) and not pause:
+            self._apart.see([apart])
         size = np.array([np.hypot(step[0], step[1]), abs(step[2])])
         moved = (size > [STILL, STILL_TURN]).any()
-        if not pause and len(self._steps) < 10 * LEARNED:
-            self._steps.append(size)
+        if not pause:
+            self._steps.see(size.tolist())
         if info.decision in {"first", "empty", "unseen"}:
             return ""
         if info.decision != "matched":
@@ -148,7 +169,7 @@ class Borders:
 
     def _sprang(self, step: Float[np.ndarray, "3"], apart: float) -> bool:
         """Whether a step `apart` [s] after the one before has a speed that no robot comes to in that time."""
-        dt = np.nanmax([apart, *([float(np.median(self._apart))] if self._apart else [])])
+        dt = np.nanmax([apart, *self._apart.usual[: len(self._apart)]])
         if not dt > 0.0:
             return False
         off = np.hypot(*(step[:2] - dt * self._velocity).T)
@@ -158,7 +179,7 @@ class Borders:
 
     def _went_on(self, info: ScanInfo, size: Float[np.ndarray, "2"]) -> bool:
         """Whether a pause hid nothing: as little way as between any two scans, and the match is where wheels say."""
-        usual = bool((size <= np.quantile(self._steps, USUAL, axis=0)).all())
+        usual = bool((size <= self._steps.usual).all())
         off = np.abs([np.hypot(*info.innovation[:2]), se2.wrap_angle(info.innovation[2])])
         return usual and info.matches >= SEGMENT_LEAST_SHARE * info.beams and bool((off <= [OFF_XY, OFF_TURN]).all())
 

@@ -16,7 +16,7 @@ from ..laser.pose_graph import PoseGraph
 from ..laser.robot_graph import RobotGraph
 from ..laser.robust_graph import RobustGraphConfig, SolvedGraph, connected, solve_graph
 from .decisions import APART, TOGETHER, Decisions, PairRow, keyframe_at
-from .map_overlap import keyframe_map
+from .map_overlap import KeyframeMap, keyframe_map
 from .merge import NUDGE, NUDGE_TURN, Merge, merge_as_said, merge_maps
 from .merge_search import MergeConfig, Start, start_between
 from .segments import pieces_of
@@ -166,6 +166,8 @@ class _Frames:
 
 def _as_one(decided: Sequence[Merge]) -> Merge:
     """What was decided on the pieces of two robots: that on those which most ties hold, with the closures of all."""
+    if len(decided) == 1:
+        return decided[0]
     best = max(decided, key=lambda m: (m.merged, m.agreeing if m.merged else 0))
     merged = [m for m in decided if m.merged]
     others = [m for m in decided if m is not best]
@@ -190,22 +192,30 @@ class _Trials:
         executor: Executor | None,
     ) -> None:
         self.pieces, self.cfg, self.starts = pieces, cfg, starts
-        self.maps = [keyframe_map(robots[piece.robot], piece.rows) for piece in pieces]
+        self.robots, self._maps = robots, dict[int, KeyframeMap]()
         self.running = {
-            (p, q): executor.submit(merge_maps, self.maps[p], self.maps[q], cfg, self._start(p, q))
+            (p, q): executor.submit(merge_maps, self.map(p), self.map(q), cfg, self._start(p, q))
             for p, q in combinations(range(len(pieces)), 2)
             if executor is not None
             and pieces[p].robot != pieces[q].robot
             and (pieces[p].robot, pieces[q].robot) not in known
         }
 
+    def map(self, p: int) -> KeyframeMap:
+        """Of piece p, made when it is asked for first."""
+        if p not in self._maps:
+            self._maps[p] = keyframe_map(self.robots[self.pieces[p].robot], self.pieces[p].rows)
+        return self._maps[p]
+
     def __call__(self, p: int, q: int) -> Merge:
         there = self.running.get((p, q))
-        made = there.result() if there else merge_maps(self.maps[p], self.maps[q], self.cfg, self._start(p, q))
+        made = there.result() if there else merge_maps(self.map(p), self.map(q), self.cfg, self._start(p, q))
         return self._numbered(p, q, made)
 
     def holding(self, own: Sequence[int], merge: Merge, end: str) -> int:
         """Of a robot's `own` pieces the one that most accepted closures of a merge end in."""
+        if len(own) == 1 or not merge.closures:
+            return own[0]
         ends = np.array([getattr(c, end) for c in merge.closures if c.accepted], dtype=np.int64)
         return max(own, key=lambda p: int(np.isin(ends, self.pieces[p].rows).sum()))
 
@@ -217,7 +227,7 @@ class _Trials:
                 f"robots {row.a} and {row.b} are said to be {TOGETHER}, and no place of one is found in the other: "
                 "expected the pose of the second in the first's map"
             )
-        return self._numbered(p, q, merge_as_said(self.maps[p], self.maps[q], pose))
+        return self._numbered(p, q, merge_as_said(self.map(p), self.map(q), pose))
 
     def _start(self, p: int, q: int) -> Start | None:
         first = not self.pieces[p].rows[0] and not self.pieces[q].rows[0]

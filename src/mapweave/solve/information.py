@@ -16,6 +16,7 @@ from .elimination import Cholesky, Elimination, NotPositiveError, least_fill
 from .problem import Problem
 
 BLOCK = 3  # variables that go together
+CANNOT = (RuntimeError, NotPositiveError)  # be factorised; the first is SuperLU's own word for a zero pivot
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,12 +76,11 @@ class BlockCholesky:
     L_rows: Int[np.ndarray, " m"] = field(repr=False)
 
     @classmethod
-    def of(cls, matrix: sp.csc_matrix, order: BlockOrder) -> "BlockCholesky":
-        """`matrix` (the pattern `order` was made for) factorised; raises NotPositiveError."""
+    def of(cls, data: Float[np.ndarray, " nnz"], order: BlockOrder) -> "BlockCholesky":
+        """The matrix of these `data` (in the pattern `order` was made for) factorised; raises NotPositiveError."""
         n, m = len(order.order), int(order.begin[-1])
         diagonal, L = np.zeros((n, BLOCK, BLOCK)), np.empty((m, BLOCK, BLOCK))
         rows = np.empty(m, dtype=np.int64)
-        data = matrix.data
         failed = block_cholesky(
             data[order.diagonal],
             data[order.above],
@@ -222,11 +222,30 @@ class Pattern:
 
     def added(self, parts: Iterable[tuple[np.ndarray, np.ndarray]]) -> tuple[sp.csc_matrix, Float[np.ndarray, " f"]]:
         """As `assemble`, of (blocks, gradients) of one term after the other: no two need to be held at a time."""
+        data, g = self.summed(parts)
+        return self.matrix(data), g
+
+    def summed(
+        self, parts: Iterable[tuple[np.ndarray, np.ndarray]]
+    ) -> tuple[Float[np.ndarray, " nnz"], Float[np.ndarray, " f"]]:
+        """As `added`, the data of the matrix alone."""
         data, g = np.zeros(len(self.indices) + 1), np.zeros(self.size + 1)
         for slot, row, (block, gradient) in zip(self.slots, self.rows, parts, strict=True):
             _scatter(data, slot, block.ravel())
             _scatter(g, row, gradient.ravel())
-        return self.matrix(data[:-1]), g[:-1]
+        return data[:-1], g[:-1]
+
+    def factorised(self, data: Float[np.ndarray, " nnz"], added: Float[np.ndarray, " f"] | None = None) -> Any:
+        """The factor, which can `solve`, of the matrix of these `data`, to whose diagonal `added` is; SingularError."""
+        if added is not None:
+            data = data.copy()
+            data[self.diagonal] += added
+        try:
+            if isinstance(self.elimination, BlockOrder):
+                return BlockCholesky.of(data, self.elimination)
+            return _factor(self.matrix(data), self.elimination)
+        except CANNOT as error:
+            raise SingularError(str(error)) from None
 
     def matrix(self, data: Float[np.ndarray, " nnz"]) -> sp.csc_matrix:
         H = sp.csc_matrix((data, self.indices, self.indptr), shape=(self.size, self.size))
@@ -249,6 +268,12 @@ class SingularError(ArithmeticError):
     """The information matrix has no inverse: something is not observed, or the gauge is free."""
 
 
+def _factor(matrix: sp.csc_matrix, elimination: Elimination | None) -> Any:
+    if elimination is not None:
+        return Cholesky.of(matrix, elimination)
+    return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+
+
 @dataclass(frozen=True, slots=True)
 class Information:
     """An information matrix over n variables with its sparse factor; its inverse is the covariance."""
@@ -265,13 +290,10 @@ class Information:
         """
         try:
             if isinstance(elimination, BlockOrder):
-                return cls(matrix, BlockCholesky.of(matrix, elimination))
-            if elimination is not None:
-                return cls(matrix, Cholesky.of(matrix, elimination))
-            factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        except (RuntimeError, NotPositiveError) as error:  # the first is SuperLU's own word for a zero pivot
+                return cls(matrix, BlockCholesky.of(matrix.data, elimination))
+            return cls(matrix, _factor(matrix, elimination))
+        except CANNOT as error:
             raise SingularError(str(error)) from None
-        return cls(matrix, factor)
 
     def dissected(
         self, group: Int[np.ndarray, " n"], coordinates: Float[np.ndarray, "n d"] | None = None
