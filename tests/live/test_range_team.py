@@ -66,6 +66,9 @@ def test_what_robots_tell_is_the_log_they_are_of_whatever_was_wrong_with_it(driv
     a = np.where(np.arange(len(z)) % 5 == 0, log.b, log.a)  # some were measured by the other end
     b = np.where(np.arange(len(z)) % 5 == 0, log.a, log.b)
     b[21:24] = a[21:24]
+    beacons = [log.names.index(name) for name in ("beacon1", "beacon2")]
+    a[30:60], b[30:60] = beacons  # beacons that measure each other
+    a[40:50], b[40:50] = beacons[::-1]
     log = replace(log, a=a, b=b, z=z, antennas={"robot2": np.array([0.1, -0.2])}, dropped={"unreadable": 3})
     again = []
     for name in log.odometry:
@@ -80,6 +83,8 @@ def test_what_robots_tell_is_the_log_they_are_of_whatever_was_wrong_with_it(driv
     assert one.dropped["range that is no positive number"] == 9
     for column in ("a", "b", "t", "z", "lever_a", "lever_b", "rate_a", "rate_b"):
         np.testing.assert_array_equal(getattr(one.ranges, column), getattr(other.ranges, column))
+    apart = one.is_beacon[one.ranges.a] & one.is_beacon[one.ranges.b]
+    assert apart.sum() == 30
     np.testing.assert_array_equal(one.motions.z, other.motions.z)
     assert (whole.source, whole.log_hash, whole.findings, whole.unused) == (
         log.source,
@@ -169,11 +174,14 @@ def header(**other):
         ({"track": pack([2.0, 1.0], [0, 0], [0, 0], [0, 0])}, "odometry that steps back"),
         ({"track": pack([1.0, 2.0], [0, 5e5], [0, 0], [0, 0])}, "odometry that steps 5e\\+05 m"),
         ({"told": pack([2.0, 1.0], [1, 1]), "whom": [1, 1]}, "ranges that step back"),
-        ({"told": pack([1.0], [1]), "whom": [2]}, "an index of 2"),
+        ({"told": pack([1.0], [1]), "whom": [3]}, "an index of 3"),
+        ({"told": pack([1.0], [1]), "whom": [1], "by": [3]}, "an index of 3"),
+        ({"told": pack([1.0], [1]), "whom": [0], "by": [2]}, "ranges that other robots tell"),
+        ({"told": pack([1.0], [1]), "whom": [2], "by": [1]}, "ranges that other robots tell"),
     ],
 )
 def test_rows_that_cannot_be_a_ranging_robots_are_refused(rows, reason):
-    record = RangeRecord(header())
+    record = RangeRecord(header(names=["a1", "b", "a2"], others=["a2"]))
     record.add(Radios(robot="r1", run="a", seq=1, track=pack([0.5], [0], [0], [0])))
     with pytest.raises(RefusedError, match=reason):
         record.add(Radios(robot="r1", run="a", seq=2, **rows))
@@ -186,7 +194,8 @@ def test_rows_that_cannot_be_a_ranging_robots_are_refused(rows, reason):
         ({"told": pack([1.0], [1e39]), "whom": [1]}, "a range of"),
         ({"told": pack([1.0], [1.0]), "whom": [1, 0]}, "an index a range"),
         ({"told": pack([1.0], [1.0]), "whom": [-1]}, "an index from 0"),
-        ({"told": pack([1.0], [1.0]), "whom": [1], "theirs": [1]}, "rows that there are"),
+        ({"told": pack([1.0], [1.0]), "whom": [1], "by": [1, 0]}, "who measured each range"),
+        ({"told": pack([1.0], [1.0]), "whom": [1], "by": [-1]}, "an index from 0"),
         ({"track": pack([1.0], [1e10], [0], [0])}, "odometry of"),
     ],
 )

@@ -212,8 +212,8 @@ def _numbered(message: Rows | Scans | Radios | Closed) -> None:
 def _radios(message: Radios) -> None:
     track, told = unpack(message.track, 4), unpack(message.told, 2)
     _expect(told.shape[1] == len(message.whom), "an index a range")
-    _expect(all(0 <= k <= MOST_NAMES for k in message.whom), f"an index from 0 to {MOST_NAMES}")
-    _expect(all(0 <= k < len(message.whom) for k in message.theirs), "rows that there are")
+    _expect(len(message.by) in {0, len(message.whom)}, "who measured each range, or none")
+    _expect(all(0 <= k <= MOST_NAMES for k in (*message.whom, *message.by)), f"an index from 0 to {MOST_NAMES}")
     _column(LATEST, "a stamp", track[0], told[0])
     _column(LARGEST, "odometry", track[1:])
     _column(GREATEST, "a range", told[1])

@@ -22,7 +22,7 @@ from jaxtyping import Float, Int
 from ..core.errors import DataError, MapweaveError, UsageError
 from ..core.records import frozen
 
-PROTOCOL = 5
+PROTOCOL = 6
 LARGEST = 1 << 20  # bytes of a message: beyond, it is refused unread
 LONGEST_NAME = 64
 MOST_LEVELS = 16  # of tiles
@@ -131,8 +131,8 @@ class Scans(_Message, tag="scans", frozen=True):
 class Radios(_Message, tag="radios", frozen=True):
     """Odometry and ranges of a robot, later than those of all earlier messages.
 
-    track: columns t, x, y, theta; told: columns t, range; whom: an index a range, whom to; theirs: rows of `told` that
-    the other end measured; fixes: as of `Rows`.
+    track: columns t, x, y, theta; told: columns t, range; whom: an index a range, whom to; by: an index a range, who
+    measured it, none where all are the robot's own; fixes: as of `Rows`.
     """
 
     robot: str
@@ -141,7 +141,7 @@ class Radios(_Message, tag="radios", frozen=True):
     track: bytes = b""
     told: bytes = b""
     whom: list[int] = []
-    theirs: list[int] = []
+    by: list[int] = []
     fixes: bytes = b""
 
 

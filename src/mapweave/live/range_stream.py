@@ -30,13 +30,14 @@ UNKNOWN = np.diag([1e8, 1e8, np.pi**2])  # [m^2, rad^2] of a place that nothing 
 
 def of_robot(log: RangeLog, name: str) -> RangeLog:
     """What robot `name` of the log tells a team: its odometry, and the ranges that it measured or a beacon measured of
-    it. The first of all robots tells beside what reading the log has found.
+    it. The first of all robots tells beside those between beacons, and what reading the log has found.
     """
     robots = sorted(log.odometry, key=in_order)
     whose = [k for k, one in enumerate(log.names) if one == name]
     others = [k for k, one in enumerate(log.names) if one in log.odometry]
-    rows = np.isin(log.a, whose) | (np.isin(log.b, whose) & ~np.isin(log.a, others))
     first = name == robots[0]
+    rows = np.isin(log.a, whose) | (np.isin(log.b, whose) & ~np.isin(log.a, others))
+    rows |= first & ~np.isin(log.a, others) & ~np.isin(log.b, others)
     return replace(
         log,
         odometry={name: log.odometry[name]},
@@ -93,8 +94,7 @@ def messages_of_ranges(log: RangeLog, robot: str, run: str, period: float) -> It
     order = np.flatnonzero(~bad)
     order = order[np.argsort(log.t[order], kind="stable")]
     a, b, t, z = log.a[order], log.b[order], log.t[order], log.z[order]
-    mine = log.names.index(name)
-    whom = np.where(a == mine, b, a)
+    own = a == log.names.index(name)
     begin = min([float(track.t[0]), *t[:1].tolist()])
     end = max([float(track.t[-1]), *t[-1:].tolist()])
     antenna = log.antennas.get(name)
@@ -135,8 +135,8 @@ def messages_of_ranges(log: RangeLog, robot: str, run: str, period: float) -> It
                         seq=seq,
                         track=pack(track.t[driven], *track.pose[driven].T),
                         told=pack(t[rows], z[rows]),
-                        whom=whom[rows].tolist(),
-                        theirs=np.flatnonzero(a[rows] != mine).tolist(),
+                        whom=b[rows].tolist(),
+                        by=[] if own[rows].all() else a[rows].tolist(),
                         fixes=fixes,
                     ),
                 )
@@ -166,6 +166,7 @@ class RangeRecord:
     _at: tuple[float, ...] | None = None  # t, x, y of the last row of odometry
     _names: set[str] = field(init=False)
     _mine: int = field(init=False)
+    _others: list[int] = field(init=False)
     _fixes: FixRecord = field(init=False)
 
     def __post_init__(self) -> None:
@@ -174,6 +175,7 @@ class RangeRecord:
         if self.header.log_robot not in self._names or not self.header.odometry:
             raise RefusedError("malformed", "a ranging robot without its own name or odometry")
         self._mine = self.header.names.index(self.header.log_robot)
+        self._others = [k for k, name in enumerate(self.header.names) if name in self.header.others]
 
     def add(self, message: Numbered) -> RadioPart | None:
         """Its rows; raises RefusedError when they can't be those of this robot."""
@@ -189,17 +191,17 @@ class RangeRecord:
             raise RefusedError("malformed", "odometry that steps back in time")
         if not (np.diff(np.concatenate([[self._ranged], told[0]])) >= 0).all():
             raise RefusedError("malformed", "ranges that step back in time")
-        whom = indexed(self._names, [], message.whom)
+        whom, by = (indexed(self._names, [], ends) for ends in (message.whom, message.by))
+        by = by if len(by) else np.full(len(whom), self._mine)
+        if (np.isin(by, self._others) | ((by != self._mine) & np.isin(whom, self._others))).any():
+            raise RefusedError("malformed", "ranges that other robots tell")
         first = expect_span(expect_span(self._first, track[0]), told[0])
         rows = np.array([*([] if self._at is None else [self._at]), *track[:3].T.tolist()]).reshape(-1, 3)
         expect_steps(rows[:, 0], rows[:, 1:], "odometry")
         self._first, self._at = first, tuple(rows[-1].tolist()) if len(rows) else None
         self._driven = float(track[0, -1]) if track.shape[1] else self._driven
         self._ranged = float(told[0, -1]) if told.shape[1] else self._ranged
-        theirs = np.isin(np.arange(len(whom)), message.theirs)
-        mine = np.full(len(whom), self._mine)
-        fixes = self._fixes.add(message.fixes)
-        return RadioPart(track, told, np.where(theirs, whom, mine), np.where(theirs, mine, whom), fixes)
+        return RadioPart(track, told, by, whom, self._fixes.add(message.fixes))
 
 
 def ranges_told(messages: Iterable[Message]) -> RangeLog | None:
