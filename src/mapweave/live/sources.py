@@ -4,7 +4,7 @@ import math
 import re
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from threading import Event
@@ -35,11 +35,22 @@ SIMULATED = 5  # robots in the simulated team among landmarks
 ROUTES = 1000  # the seed of robot K's route through the office of seed S is K + 1000 S
 
 
-def open_source(source: str, name: str, robot: str | None, seed: int = 0) -> LiveLog:
+def open_source(
+    source: str,
+    name: str,
+    robot: str | None,
+    seed: int = 0,
+    *,
+    radios: Mapping[str, str] | None = None,
+    fixes: str | None = None,
+) -> LiveLog:
     """The log of one robot of `source`, as a reader gives it; raises UsageError when it is none or lacks the robot.
 
     robot: which one of those in the log; when None the one that `name` ends with the number of, or the only one.
+    radios, fixes: as of `read_range_bag`; raises UsageError where there can be none.
     """
+    path = Path(source)
+    _expect_recording(path, radios, fixes)
     number = re.search(r"(\d+)$", name)
     key = robot if robot is not None else None if number is None else str(int(number[1]))
     if source == OFFICE:
@@ -49,7 +60,6 @@ def open_source(source: str, name: str, robot: str | None, seed: int = 0) -> Liv
             write_mrclam(Path(folder), simulate_team(TeamWorld(robots=SIMULATED), seed))
             logs = [replace(log, source=f"{LANDMARKS}-{seed}") for log in read_landmark_logs(Path(folder))]
         return _chosen(logs, key, name, source, asked=robot is not None)
-    path = Path(source)
     if source.startswith("sim:"):
         raise UsageError(f"--source {source}: expected {LANDMARKS} or {OFFICE}")
     if not path.exists():
@@ -59,10 +69,19 @@ def open_source(source: str, name: str, robot: str | None, seed: int = 0) -> Liv
     if is_landmark_log(path):
         return _chosen(list(read_landmark_logs(path)), key, name, source, asked=robot is not None)
     if is_range_bag(path):
-        return _ranging(path, key, name, asked=robot is not None)
+        return _ranging(read_range_bag(path, radios, fixes), key, name, asked=robot is not None)
     if is_laser_log(path):
-        return _laser(path, key, name, asked=robot is not None)
+        return _laser(path, LaserSource(fixes=fixes), key, name, asked=robot is not None)
     raise UsageError(f"--source {not_known(path)}")
+
+
+def _expect_recording(path: Path, radios: Mapping[str, str] | None, fixes: str | None) -> None:
+    """Raises UsageError for options of recordings where `path` is none."""
+    recording = (radios or fixes is not None) and path.exists() and not is_mixed([path]) and is_bag(path)
+    if radios and not (recording and is_range_bag(path)):
+        raise UsageError(f"--radios: only for recordings of ranges, found {path}")
+    if fixes is not None and not recording:
+        raise UsageError(f"--fixes: only for recordings, found {path}")
 
 
 def messages(log: LiveLog, robot: str, run: str, period: float) -> Iterator[tuple[float, Numbered]]:
@@ -74,16 +93,15 @@ def messages(log: LiveLog, robot: str, run: str, period: float) -> Iterator[tupl
     return messages_of(log, robot, run, period)
 
 
-def open_recording(path: Path, name: str, robot: str | None) -> LaserLog:
+def open_recording(path: Path, name: str, robot: str | None, fixes: str | None = None) -> LaserLog:
     """The laser log of one robot of the recording at `path`, as far as it is written; errors as of `open_source`."""
     number = re.search(r"(\d+)$", name)
     key = robot if robot is not None else None if number is None else str(int(number[1]))
-    return _laser(path, key, name, asked=robot is not None)
+    return _laser(path, LaserSource(fixes=fixes), key, name, asked=robot is not None)
 
 
-def _laser(path: Path, key: str | None, name: str, *, asked: bool) -> LaserLog:
+def _laser(path: Path, source: LaserSource, key: str | None, name: str, *, asked: bool) -> LaserLog:
     """The only robot of a laser log, or the one of that name or number in it; the team calls it by `name`'s number."""
-    source = LaserSource()
     there = robots_of(path, source)
     called = there[0]
     if len(there) > 1:
@@ -100,9 +118,8 @@ def _laser(path: Path, key: str | None, name: str, *, asked: bool) -> LaserLog:
     return read_laser(path, robot_name("1" if number is None else str(int(number[1]))), replace(source, name=called))
 
 
-def _ranging(path: Path, key: str | None, name: str, *, asked: bool) -> RangeLog:
+def _ranging(log: RangeLog, key: str | None, name: str, *, asked: bool) -> RangeLog:
     """What one robot of a recording of ranging radios tells: the one of that name, or the one of that number."""
-    log = read_range_bag(path)
     robots = sorted(log.odometry, key=in_order)
     there = [one for one in robots if key in {one, robot_key(one)}] or [
         one for one in robots if key is not None and key.isdecimal() and re.search(rf"(?<!\d)0*{int(key)}$", one)
@@ -110,7 +127,7 @@ def _ranging(path: Path, key: str | None, name: str, *, asked: bool) -> RangeLog
     if not there and not asked and len(robots) == 1:
         there = robots
     if len(there) != 1:
-        raise UsageError(f"--robot: which robot is {name}? {path} holds {', '.join(map(robot_key, robots))}")
+        raise UsageError(f"--robot: which robot is {name}? {log.source} holds {', '.join(map(robot_key, robots))}")
     return of_robot(log, there[0])
 
 
