@@ -151,7 +151,7 @@ def live_robot(
         are input and no truth (satellite fixes alone); none: no fixes.
     follow
         The source is a recording that is still written (.mcap, .db3, .bag or a folder), or is not there yet: its scans
-        are told as they come, until it is closed or `stop`.
+        and fixes are told as they come, until it is closed or `stop`.
     rate
         Seconds of the log in one second of the clock (1); inf is as fast as it goes.
     period

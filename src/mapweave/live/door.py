@@ -148,7 +148,7 @@ def _check(message: Message) -> None:
 
 
 def _header(message: Header) -> None:
-    _expect(message.seq == 0, "a header is number 0")
+    _expect(0 <= message.seq <= MOST_MESSAGES, f"a number from 0 to {MOST_MESSAGES}")
     _expect(message.sensor in {"landmarks", "laser", "ranges"}, f"sensor {message.sensor[:LONGEST_NAME]!r}")
     _names(message.robot, message.log_robot)
     _texts(message.run, message.source, message.odometry_from, message.log_hash)

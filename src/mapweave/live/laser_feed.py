@@ -1,5 +1,6 @@
 """Scans that come one by one, from a program or a ROS graph, as the numbered messages of a robot."""
 
+import math
 import re
 from bisect import bisect_right
 from collections.abc import Sequence
@@ -7,6 +8,7 @@ from dataclasses import dataclass, field
 from operator import itemgetter
 from queue import Empty, Queue
 from threading import Event
+from typing import Any
 
 from ..core.errors import DataError
 from ..core.names import robot_name
@@ -15,6 +17,7 @@ from .laser_stream import MOST_BYTES, beams_of
 from .messages import Closed, Header, Numbered, RefusedError, ScanBeams, Scans, pack, unpack
 
 Row = tuple[float, float, float, float]  # t [s], x, y [m], theta [rad]
+FixRow = Sequence[float]  # t [s], three of the place, variances as of `fix_columns`
 Stamped = tuple[float, Scan]
 WAITING = 1000  # scans: who hands in more waits
 
@@ -32,21 +35,24 @@ class Packets:
     _until: float | None = None
     _scans: list[ScanBeams] = field(default_factory=list)
     _rows: list[Row] = field(default_factory=list)
+    _fixes: list[FixRow] = field(default_factory=list)
     _bytes: int = 0
 
-    def add(self, placed: Sequence[Stamped], rows: Sequence[Row]) -> list[Numbered]:
+    def add(self, placed: Sequence[Stamped], rows: Sequence[Row], fixes: Sequence[FixRow] = ()) -> list[Numbered]:
         """Whole messages now that these came."""
         out: list[Numbered] = []
         if self.header.odometry:
             self._rows += rows
+        if self.header.fixes is not None:
+            self._fixes += fixes
         for t, scan in placed:
             if self._until is not None and t >= self._until:
-                out += self._flush()
+                out += self._flush(self._scans[-1].t)
                 self._until = None
             beams = beams_of(t, scan)
             size = len(beams.ranges) + len(beams.light or b"") + len(beams.hit)
-            if self._bytes + size > MOST_BYTES:
-                out += self._flush()
+            if self._scans and self._bytes + size > MOST_BYTES:
+                out += self._flush(self._scans[-1].t)
             self._scans.append(beams)
             self._bytes += size
             self._until = t + self.period if self._until is None else self._until
@@ -54,20 +60,34 @@ class Packets:
 
     def close(self) -> list[Numbered]:
         """The rest, and that it is the end."""
-        out = self._flush()
+        out = self.rest()
         self.last += 1
         return [*out, Closed(robot=self.header.robot, run=self.header.run, seq=self.last)]
 
-    def _flush(self) -> list[Numbered]:
-        """The scans that wait, and odometry up to the last of them: what is later comes with later scans."""
-        if not self._scans:
+    def rest(self) -> list[Numbered]:
+        """All that waits."""
+        return self._flush(math.inf)
+
+    def _flush(self, until: float) -> list[Numbered]:
+        """The scans that wait, odometry and fixes up to `until` [s]: what is later comes with later scans."""
+        (rows, self._rows), (fixes, self._fixes) = _cut(self._rows, until), _cut(self._fixes, until)
+        scans, self._scans, self._bytes = self._scans, [], 0
+        if not (scans or rows or fixes):
             return []
         self.last += 1
-        end = bisect_right(self._rows, self._scans[-1].t, key=itemgetter(0))
-        rows, self._rows = self._rows[:end], self._rows[end:]
-        scans, self._scans, self._bytes = self._scans, [], 0
-        track = pack(*zip(*rows, strict=True)) if rows else b""
-        return [Scans(robot=self.header.robot, run=self.header.run, seq=self.last, track=track, scans=scans)]
+        track, places = _columns(rows), _columns(fixes)
+        h = self.header
+        return [Scans(robot=h.robot, run=h.run, seq=self.last, track=track, scans=scans, fixes=places)]
+
+
+def _cut(rows: list[Any], until: float) -> tuple[list[Any], list[Any]]:
+    """Those up to `until` [s], and those after it."""
+    end = bisect_right(rows, until, key=itemgetter(0))
+    return rows[:end], rows[end:]
+
+
+def _columns(rows: Sequence[Sequence[float]]) -> bytes:
+    return pack(*zip(*rows, strict=True)) if rows else b""
 
 
 def told_until(kept: Sequence[Numbered]) -> tuple[float | None, float | None, bool | None]:

@@ -1,18 +1,25 @@
 """Where a live robot's rows come from: a log played at any rate, a recording still written, a simulated team."""
 
+import hashlib
 import math
 import re
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Event
 
+import numpy as np
+from jaxtyping import Float
+from msgspec import structs
+
+from ..core import se2
 from ..core.errors import DataError, ReaderError, UsageError
 from ..core.landmark_log import LandmarkLog
 from ..core.laser_log import LaserLog
 from ..core.names import in_order, robot_key, robot_name
+from ..core.records import Scan, Track, frozen
 from ..io.landmark_logs import is_landmark_log, read_landmark_logs
 from ..io.laser_logs import LaserSource, is_bag, is_laser_log, read_laser, robots_of
 from ..io.mixed_logs import is_mixed, read_mixed_landmarks, sorted_logs
@@ -23,10 +30,11 @@ from ..ranges.network import RangeLog
 from ..sim.landmarks import TeamWorld, simulate_team
 from ..sim.laser import drive
 from ..sim.laser_worlds import OfficeConfig, office_route, office_world
+from .fix_stream import fix_columns, source_of
 from .landmark_stream import messages_of
-from .laser_feed import ScanFeed
-from .laser_stream import messages_of_laser
-from .messages import Numbered
+from .laser_feed import Packets, ScanFeed
+from .laser_stream import LaserRecord, header_of, messages_of_laser
+from .messages import Closed, Header, Numbered
 from .range_stream import messages_of_ranges, of_robot
 
 LiveLog = LandmarkLog | LaserLog | RangeLog
@@ -176,16 +184,19 @@ def _chosen(logs: list[LandmarkLog], key: str | None, name: str, source: str, *,
 
 IDLE = 4.0  # times what a reading took pass before the next: it is read from its beginning
 QUIET = 30.0  # [s] without growth after which that is said
+HEADED = 2.0  # [s] of the log that a scan waits for its heading at most
 MAGIC = b"\x89MCAP0\r\n"  # ends an MCAP file that was closed
 
 Read = Callable[[Path], LaserLog]
 
 
 class BagFeed(ScanFeed):
-    """The scans of the recording at `path` so far, each once and when its odometry is there too.
+    """What the recording at `path` holds so far, each scan once and when its odometry is there too.
 
     `ended` is set when `stop` is, or when the recording was closed and all of it is read; one that was cut off is
-    waited for, which is said, as is what cannot be read yet. read: gives the robot's log of the file as it is.
+    waited for, which is said, as is what cannot be read yet. What shows in the whole of a log alone is told at the end:
+    the log's header once more, and where it reads otherwise than it was told, all of it. read: gives the robot's log of
+    the file as it is.
     """
 
     def __init__(
@@ -196,13 +207,21 @@ class BagFeed(ScanFeed):
         self._path, self._read, self._stop, self._say = path, read, stop, say
         self._size, self._due, self._grown = -1, 0.0, time.monotonic()
         self._last, self._said = -math.inf, set[str]()
+        self._digest, self._behind, self._anew = LogDigest(), _Behind(), False
 
     def resume(self, kept: Sequence[Numbered]) -> None:
         super().resume(kept)
         self._last = self.resumed
+        record = LaserRecord(kept[0]) if kept and isinstance(kept[0], Header) else None
+        for message in kept[1:] if record is not None else ():
+            self._anew |= isinstance(message, Header)  # it was ended before all of it was told once more
+            part = None if record is None or self._anew else record.add(message)
+            if part is not None:
+                self._digest.add(part)
+                self._behind = self._behind.after(part)
 
     def take(self, timeout: float) -> list[Numbered]:
-        if self._stop.wait(timeout):
+        if self._stop.wait(timeout) or self._anew:
             self.ended.set()
             return []
         now = time.monotonic()
@@ -216,41 +235,182 @@ class BagFeed(ScanFeed):
                 self._once(f"{self._path} has not grown for {QUIET:.0f} s and was not closed: it is waited for")
             return []
         self._size, self._grown = size, now
-        out = self._new(whole=closed)
+        if closed:
+            self.ended.set()
+            return []
+        log = self._logged()
+        out = [] if log is None else self._new(log, _whole_until(log))
         self._due = now + IDLE * (time.monotonic() - now)
         return out
 
     def close(self) -> list[Numbered]:
-        """What is left, although later odometry may be missing, and that the drive has ended."""
-        out = self._new(whole=True)
-        return [*out, *super().close()]
+        """What is left, although later odometry may be missing, what is known now alone, and that the drive has ended.
 
-    def _new(self, *, whole: bool) -> list[Numbered]:
-        """Messages of the scans that are new; but for the `whole` those alone that odometry has passed."""
+        Raises ReaderError or DataError for a recording that was closed and cannot be read.
+        """
+        log = self._logged(closed=_closed(self._path))
+        if log is None:
+            return super().close()
+        out = [] if self._anew else self._new(log, math.inf)
+        if self._packets is None:
+            return out
+        header, whole = header_of(log, self._name, self._run), LogDigest()
+        whole.add(log)
+        if not self._anew and whole.parts == self._digest.parts and header == self._packets.header:
+            return [*out, *self._packets.close()]
+        out += self._packets.rest()
+        first = self._packets.last + 1
+        if not self._anew and whole.parts == self._digest.parts:
+            end = Closed(robot=self._name, run=self._run, seq=first + 1)
+            return [*out, structs.replace(header, seq=first), end]
+        again = messages_of_laser(log, self._name, self._run, self._period)
+        return [*out, *(structs.replace(message, seq=first + message.seq) for _, message in again)]
+
+    def _logged(self, *, closed: bool = False) -> LaserLog | None:
+        """The log so far, None of none yet, which is said; raises what is wrong with one that is `closed`."""
         if not self._path.exists() or not is_bag(self._path):
             self._once(f"waits for {self._path}, which is no recording yet")
-            return []
+            return None
         try:
             log = self._read(self._path)
         except (ReaderError, DataError) as error:
+            if closed:
+                raise
             self._once(f"waits: {error}")
-            return []
+            return None
         for found in log.findings:
             if found.code != "log-short":
                 self._once(found.text)
-        self._sweep = log.sweep
-        until = math.inf if whole or log.odometry is None else float(log.odometry.t[-1])
-        out: list[Numbered] = []
-        for t, scan in zip(log.scan_t.tolist(), log.scans, strict=True):
-            if self._last < t <= until:
-                out += self._told(t, scan)
-                self._last = t
-        return out
+        return log
+
+    def _new(self, log: LaserLog, until: float) -> list[Numbered]:
+        """Messages of what is new up to `until` [s], as it goes on from what was told."""
+        header = header_of(log, self._name, self._run) if self._packets is None else self._packets.header
+        part = self._behind.going_on(log, header, self._last, until)
+        if part is None:
+            self._once("reads otherwise than it did: what follows is told when it is closed")
+            return []
+        begin = self._packets is None and len(part.scans)
+        if not begin and self._packets is None:
+            return []
+        self._packets = self._packets or Packets(header, self._period)
+        self._digest.add(part)
+        self._behind = self._behind.after(part)
+        self._last = float(part.scan_t[-1]) if len(part.scans) else self._last
+        o = part.odometry
+        rows = [] if o is None else list(zip(o.t.tolist(), *o.pose.T.tolist(), strict=True))
+        fixes = () if part.fixes is None else fix_columns(part.fixes).T.tolist()
+        placed = list(zip(part.scan_t.tolist(), part.scans, strict=True))
+        return [*([header] if begin else []), *self._packets.add(placed, rows, fixes)]
 
     def _once(self, words: str) -> None:
         if words not in self._said:
             self._said.add(words)
             self._say(f"{self._name}: {words}")
+
+
+def _whole_until(log: LaserLog) -> float:
+    """Until when [s] scans of a recording that grows have all they will have: odometry, or headings that come late."""
+    if log.odometry is not None:
+        return float(log.odometry.t[-1])
+    headed = [t for t, scan in zip(log.scan_t.tolist(), log.scans, strict=True) if scan.heading is not None]
+    return max(headed[-1], float(log.scan_t[-1]) - HEADED) if headed else math.inf
+
+
+class LogDigest:
+    """A digest of scans, odometry and fixes, in whatever parts they come. `add` changes it."""
+
+    def __init__(self) -> None:
+        self._all = tuple(hashlib.sha256() for _ in range(3))
+
+    def add(self, log: LaserLog) -> None:
+        scans, rows, fixes = self._all
+        for t, s in zip(log.scan_t.tolist(), log.scans, strict=True):
+            scans.update(repr((t, s.angle_min, s.angle_increment, s.range_max, s.host, s.heading)).encode())
+            for column in (s.ranges, s.hit, s.intensities, s.T_robot_sensor, s.odometry):
+                scans.update(b"none" if column is None else column.tobytes())
+        if log.odometry is not None:
+            rows.update(np.column_stack([log.odometry.t, log.odometry.pose]).tobytes())
+        if log.fixes is not None:
+            fixes.update(np.ascontiguousarray(fix_columns(log.fixes).T).tobytes())
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        return tuple(digest.hexdigest() for digest in self._all)
+
+
+@dataclass(frozen=True, slots=True)
+class _Behind:
+    """What was told last: t [s] and `T_odom_robot`, t [s] and heading by a gyroscope, t [s] of a fix; lit: whether
+    scans have light, None of none yet.
+    """
+
+    row: tuple[float, Float[np.ndarray, "3"]] | None = None
+    turned: tuple[float, float] | None = None
+    fixed: float = -math.inf
+    lit: bool | None = None
+
+    def after(self, part: LaserLog) -> "_Behind":
+        """The same after a part of the log."""
+        o, f = part.odometry, part.fixes
+        turned = [
+            (t, s.heading) for t, s in zip(part.scan_t.tolist(), part.scans, strict=True) if s.heading is not None
+        ]
+        return _Behind(
+            self.row if o is None else (float(o.t[-1]), o.pose[-1]),
+            turned[-1] if turned else self.turned,
+            self.fixed if f is None or not len(f) else float(f.t[-1]),
+            part.has_intensity if part.scans else self.lit,
+        )
+
+    def going_on(self, log: LaserLog, header: Header, last: float, until: float) -> LaserLog | None:
+        """What the log holds after what was told, scans after `last` [s], up to `until` [s]; None where it has not what
+        was announced.
+
+        Odometry and headings are of a gyroscope's bias that every reading finds anew: they go on from the last told.
+        """
+        if (header.odometry and log.odometry is None) or (self.lit and not log.has_intensity):
+            return None
+        keep = (log.scan_t > last) & (log.scan_t <= until)
+        scans = [self._seen(log.scans[k], header) for k in np.flatnonzero(keep).tolist()]
+        odometry, turn = log.odometry if header.odometry else None, self._turn(log)
+        if odometry is not None:
+            T = self._shift(odometry)
+            rows = (odometry.t > (-math.inf if self.row is None else self.row[0])) & (odometry.t <= until)
+            odometry = Track(odometry.t[rows], _moved(T, odometry.pose[rows]), frame=odometry.frame)
+            scans = [s if s.odometry is None else replace(s, odometry=frozen(_moved(T, s.odometry))) for s in scans]
+        if turn:
+            scans = [s if s.heading is None else replace(s, heading=s.heading + turn) for s in scans]
+        fixes, announced = log.fixes, header.fixes
+        if fixes is not None:
+            same = announced is not None and source_of(replace(fixes, dropped=announced.dropped)) == announced
+            fixes = fixes.select((fixes.t > self.fixed) & (fixes.t <= until)) if same else None
+        return replace(log, scan_t=log.scan_t[keep], scans=tuple(scans), odometry=odometry, fixes=fixes)
+
+    def _seen(self, scan: Scan, header: Header) -> Scan:
+        """The scan without what those before had none of."""
+        odometry = scan.odometry if header.odometry else None
+        return replace(scan, odometry=odometry, intensities=None if self.lit is False else scan.intensities)
+
+    def _shift(self, odometry: Track) -> Float[np.ndarray, "3"] | None:
+        """By what odometry is told elsewhere than it was; None where it is not."""
+        if self.row is None:
+            return None
+        at = int(np.searchsorted(odometry.t, self.row[0]))
+        if at == len(odometry.t) or odometry.t[at] != self.row[0] or (odometry.pose[at] == self.row[1]).all():
+            return None
+        return np.asarray(se2.compose(self.row[1], se2.inverse(odometry.pose[at])))
+
+    def _turn(self, log: LaserLog) -> float:
+        """By what headings are told otherwise than they were."""
+        t, heading = self.turned or (math.nan, 0.0)
+        there = (s.heading for k, s in zip(log.scan_t.tolist(), log.scans, strict=True) if k == t)
+        now = next((found for found in there if found is not None), heading)
+        return heading - now
+
+
+def _moved(T: Float[np.ndarray, "3"] | None, poses: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
+    return poses if T is None else np.asarray(se2.compose(T, poses))
 
 
 def _parts(path: Path) -> list[Path]:
