@@ -147,8 +147,8 @@ def live_robot(
         Radio -> the robot it is on, where their names do not say it (by name, else by number). Recordings of ranges
         alone, the same for all robots of one.
     fixes
-        Topics of a recording that tell where robots were, as for `map`: satellite fixes, or poses by others, which then
-        are input and no truth (satellite fixes alone); none: no fixes.
+        Topics of a recording or of ros2 that tell where robots are, as for `map`: satellite fixes, or poses by others,
+        which then are input and no truth (satellite fixes alone); none: no fixes.
     follow
         The source is a recording that is still written (.mcap, .db3, .bag or a folder), or is not there yet: its scans
         and fixes are told as they come, until it is closed or `stop`.
@@ -188,15 +188,13 @@ def live_robot(
     path = Path("mapweave-live", f"{network.team}-{name}.sqlite") if history is None else Path(history)
     stop, ros2 = stop or Event(), str(source) == ROS2
     _check_origin(ros2=ros2, follow=follow, paced=rate != 1.0, graph=ros is not None, radios=bool(radios))
-    if fixes is not None and ros2:
-        raise UsageError("--fixes: only for recordings")
     log = None if ros2 or follow else open_source(str(source), name, robot, seed, radios=radios, fixes=fixes)
     with Store(path, f"robot {name} of team {network.team}") as store, ExitStack() as opened:
         if fresh:
             store.clear()
         run = begun(store, _sensor(log), period)
         if ros2:
-            sent, ears = drive_ros2(name, options, store, run, period, linger, config, network, stop, say, wall)
+            sent, ears = drive_ros2(name, options, fixes, store, run, period, linger, config, network, stop, say, wall)
             return _ended(name, sent, ears, store)
         if log is not None:
             header = next(messages(log, name, run, period))[1]
@@ -481,6 +479,7 @@ def live_robots(
     names: Sequence[str],
     patterns: Sequence[str] | None = None,
     *,
+    fixes: str | None = None,
     period: float = 1.0,
     fresh: bool = False,
     linger: float = 30.0,
@@ -500,6 +499,8 @@ def live_robots(
         What the team calls them.
     patterns
         Of each robot's namespace (the robots of these names).
+    fixes
+        Topics that tell where they are, one in the namespace of each, as for `map` (satellite fixes alone).
     period
         Seconds of scans in one message (1).
     fresh
@@ -527,6 +528,7 @@ def live_robots(
         return live_robot(
             name,
             "ros2",
+            fixes=fixes,
             period=period,
             fresh=fresh,
             linger=linger,

@@ -195,7 +195,7 @@ def _live_robot(drive: Callable[..., Any], asked: Asked) -> list[Any]:
         return [drive(**asked | {"ros": ros})]
     if not (asked["robot"] is None and asked["history"] is None and asked["rate"] == 1.0 and not asked["radios"]):
         raise UsageError("--robot, --history, --rate, --radios: of a single robot")
-    shared = ("period", "fresh", "linger", "config", "network", "stop", "say")
+    shared = ("fixes", "period", "fresh", "linger", "config", "network", "stop", "say")
     names, patterns = names_of("--name")(name), names_of("--pattern")(pattern)
     return live_robots(names or [], patterns, ros=ros, **{key: asked[key] for key in shared})
 

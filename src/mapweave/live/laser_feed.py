@@ -8,7 +8,9 @@ from dataclasses import dataclass, field
 from operator import itemgetter
 from queue import Empty, Queue
 from threading import Event
-from typing import Any
+from typing import Any, NamedTuple
+
+from msgspec import structs
 
 from ..core.errors import DataError
 from ..core.names import robot_name
@@ -68,6 +70,14 @@ class Packets:
         """All that waits."""
         return self._flush(math.inf)
 
+    def amended(self, header: Header) -> list[Numbered]:
+        """All that waits, and the header once more, where it is another by now than it was told."""
+        out = self.rest()
+        if header != self.header:
+            self.last += 1
+            out.append(structs.replace(header, seq=self.last))
+        return out
+
     def _flush(self, until: float) -> list[Numbered]:
         """The scans that wait, odometry and fixes up to `until` [s]: what is later comes with later scans."""
         (rows, self._rows), (fixes, self._fixes) = _cut(self._rows, until), _cut(self._fixes, until)
@@ -90,16 +100,28 @@ def _columns(rows: Sequence[Sequence[float]]) -> bytes:
     return pack(*zip(*rows, strict=True)) if rows else b""
 
 
-def told_until(kept: Sequence[Numbered]) -> tuple[float | None, float | None, bool | None]:
-    """Stamps [s] of the last scan and the last odometry of a history, and whether its scans have light."""
-    scan = odometry = light = None
+class ToldUntil(NamedTuple):
+    """Stamps [s] of the last scan, odometry and fix of a history, and whether its scans have light; None of none."""
+
+    scan: float | None = None
+    odometry: float | None = None
+    fix: float | None = None
+    light: bool | None = None
+
+
+def told_until(kept: Sequence[Numbered]) -> ToldUntil:
+    """Until when a history goes."""
+    told = ToldUntil()
     for message in kept:
         if isinstance(message, Scans):
-            scan = message.scans[-1].t if message.scans else scan
-            light = message.scans[0].light is not None if message.scans and light is None else light
-            track = unpack(message.track, 4)
-            odometry = float(track[0, -1]) if track.shape[1] else odometry
-    return scan, odometry, light
+            scans, track, fixes = message.scans, unpack(message.track, 4)[0], unpack(message.fixes, 7)[0]
+            told = ToldUntil(
+                scans[-1].t if scans else told.scan,
+                float(track[-1]) if len(track) else told.odometry,
+                float(fixes[-1]) if len(fixes) else told.fix,
+                scans[0].light is not None if scans and told.light is None else told.light,
+            )
+    return told
 
 
 def log_robot(name: str) -> str:
@@ -136,9 +158,9 @@ class ScanFeed:
                 raise RefusedError("history", "this drive has ended; a fresh history begins a new one")
             if kept and isinstance(kept[0], Header):
                 self._packets = Packets(kept[0], self._period, kept[-1].seq)
-                t, driven, _ = told_until(kept)
-                self.resumed = self.resumed if t is None else t
-                self._driven = self._driven if driven is None else driven
+                told = told_until(kept)
+                self.resumed = self.resumed if told.scan is None else told.scan
+                self._driven = self._driven if told.odometry is None else told.odometry
         finally:
             self._known.set()
 

@@ -34,7 +34,7 @@ from .fix_stream import fix_columns, source_of
 from .landmark_stream import messages_of
 from .laser_feed import Packets, ScanFeed
 from .laser_stream import LaserRecord, header_of, messages_of_laser
-from .messages import Closed, Header, Numbered
+from .messages import Header, Numbered
 from .range_stream import messages_of_ranges, of_robot
 
 LiveLog = LandmarkLog | LaserLog | RangeLog
@@ -256,13 +256,10 @@ class BagFeed(ScanFeed):
             return out
         header, whole = header_of(log, self._name, self._run), LogDigest()
         whole.add(log)
-        if not self._anew and whole.parts == self._digest.parts and header == self._packets.header:
-            return [*out, *self._packets.close()]
+        if not self._anew and whole.parts == self._digest.parts:
+            return [*out, *self._packets.amended(header), *self._packets.close()]
         out += self._packets.rest()
         first = self._packets.last + 1
-        if not self._anew and whole.parts == self._digest.parts:
-            end = Closed(robot=self._name, run=self._run, seq=first + 1)
-            return [*out, structs.replace(header, seq=first), end]
         again = messages_of_laser(log, self._name, self._run, self._period)
         return [*out, *(structs.replace(message, seq=first + message.seq) for _, message in again)]
 

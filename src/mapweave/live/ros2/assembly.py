@@ -12,10 +12,12 @@ from jaxtyping import Float
 
 from ...core.records import Scan, Track, frozen
 from ...io.assemble import LONGEST_SWEEP, RawScan, floats, is_sound, poses_at, scan_of
+from ...io.fixes import SAME_STAMP, fix_row
 from ...io.scan_checks import has_moved, is_frozen, is_habit, is_same_revolution
 from ...io.transforms import Transforms, frame, in_range, planar, rigid
 from ..door import GREATEST, MOST_BEAMS, expect_steps
-from ..laser_feed import Row, Stamped
+from ..fix_stream import UNTOLD
+from ..laser_feed import FixRow, Row, Stamped, ToldUntil
 from ..messages import RefusedError
 
 PATIENCE = 2.0  # [s] of the robot's clock, and of ours, that a scan waits for odometry and for its frame
@@ -55,21 +57,23 @@ class Assembly:
     """What one robot's messages make. `scan`, `odometry` and `transforms` change it; `ready` takes what is whole.
 
     wheels: where odometry comes from: "poses", "tf" or "none". sensor_pose: `T_robot_sensor`, where no transform
-    tells it. sweep: [s] that a scan takes, as its driver states it. refused: messages not used, by reason;
-    first_refusals: the first of each reason.
+    tells it. sweep: [s] that a scan takes, as its driver states it. fix_frame: of position fixes; fixes_left: those
+    that tell nothing, by reason. refused: messages not used, by reason; first_refusals: the first of each reason.
     """
 
     def __init__(self, wheels: str = POSES, sensor_pose: Sequence[float] | None = None) -> None:
         self.wheels = wheels
         self.refused: Counter[str] = Counter()
         self.first_refusals: dict[str, str] = {}
-        self.odom_frame = self.base_frame = self.sensor_frame = ""
+        self.odom_frame = self.base_frame = self.sensor_frame = self.fix_frame = ""
+        self.fixes_left: Counter[str] = Counter()
         self.sweep = 0.0
         self.latest: Row | None = None
         self._given = None if sensor_pose is None else frozen(sensor_pose)
         self._tf = Transforms()
         self._places: dict[str, tuple[np.ndarray, bool]] = {}
-        self._wheels_clock = Clock("odometry")
+        self._wheels_clock, self._fix_clock = Clock("odometry"), Clock("a position fix")
+        self._fixes: list[FixRow] = []
         self._scanners: dict[str, Clock] = {}
         self._told_until: float | None = None  # [s] stamp of the last scan that was told
         # of each frame the first and the last of the scans with the ranges of the latest, and how many repeat the first
@@ -83,15 +87,14 @@ class Assembly:
         self._sweeps: dict[str, float] = {}  # of each scanner, once it is stated
         self._told_sweep: float | None = None
 
-    def resume(
-        self, scan: float | None, odometry: float | None, *, light: bool | None, sweep: float | None = None
-    ) -> None:
-        """Stamps [s] that were told already: only later ones are used; light: whether scans had intensities.
+    def resume(self, told: ToldUntil, *, sweep: float | None = None) -> None:
+        """What was told already: only later scans, odometry and fixes are used.
 
-        sweep: [s] that each of them took, of a robot with one scanner.
+        sweep: [s] that each scan took, of a robot with one scanner.
         """
-        self._told_until, self._wheels_clock.last, self._light = scan, odometry, light
-        self._told_sweep = None if scan is None else sweep
+        self._told_until, self._light = told.scan, told.light
+        self._wheels_clock.last, self._fix_clock.last = told.odometry, told.fix
+        self._told_sweep = None if told.scan is None else sweep
 
     def refuse(self, error: RefusedError) -> None:
         """Counted; the first of each reason is kept in words."""
@@ -142,6 +145,32 @@ class Assembly:
             self._row(
                 _stamp(message.header), planar(pose), (frame(message.header.frame_id), frame(message.child_frame_id))
             )
+
+    def fix(self, message: Any) -> None:
+        """One position fix, of whatever type tells such."""
+        t = _stamp(message.header)
+        row = fix_row(t, message)
+        if isinstance(row, str) or t == self._fix_clock.last:
+            self.fixes_left[row if isinstance(row, str) else SAME_STAMP] += 1
+            return
+        try:
+            self._fix_clock.take(t)
+        except RefusedError as error:
+            self.refuse(error)
+            return
+        self.fix_frame = self.fix_frame or frame(message.header.frame_id)
+        self._fixes.append((*row[:4], *(row[4:] if np.isfinite(row[4:]).all() else (UNTOLD,) * 3)))
+
+    def fixes(self) -> list[FixRow]:
+        """Those since the last time."""
+        out, self._fixes = self._fixes, []
+        return out
+
+    @property
+    def antenna(self) -> tuple[float, ...]:
+        """Where tf has the frame of fixes on the robot; its origin where it has not."""
+        place = self._tf.rigid_pose(self.base_frame, self.fix_frame) if self.base_frame and self.fix_frame else None
+        return (0.0, 0.0) if place is None else tuple(map(float, place[0][:2]))
 
     def _row(self, t: float, pose: tuple[float, float, float], edge: tuple[str, str]) -> None:
         try:
