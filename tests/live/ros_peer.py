@@ -18,6 +18,7 @@ HASHES = {  # as ROS 2 prints them for these definitions
     "sensor_msgs/msg/LaserScan": "RIHS01_64c191398013af96509d518dac71d5164f9382553fce5c1f8cca5be7924bd828",
     "nav_msgs/msg/Odometry": "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0",
     "sensor_msgs/msg/NavSatFix": "RIHS01_62223ab3fe210a15976021da7afddc9e200dc9ec75231c1b6a557fc598a65404",
+    "sensor_msgs/msg/Imu": "RIHS01_7d9a00ff131080897a5ec7e26e315954b8eae3353c3f995c55faf71574000b5b",
     "tf2_msgs/msg/TFMessage": "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087",
     "nav_msgs/msg/OccupancyGrid": "RIHS01_8d348150c12913a31ee0ec170fbf25089e4745d17035792a1ba94d6f0bc0cfc7",
     "geometry_msgs/msg/PoseStamped": "RIHS01_10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8",
@@ -109,6 +110,12 @@ def pose_told(t, frame, place, var):
     cov = dict(zip((0, 1, 6, 7), (var[0], var[1], var[1], var[2]), strict=True))
     out = Writer().head(t, frame).put("d", *place, *turned(0.0))
     return out.put("d", *(cov.get(k, 0.0) for k in range(36))).bytes()
+
+
+def imu(t, frame, rate, felt=(0.0, 0.0, 9.81)):
+    """rate: [rad/s] over the unit's axes; felt: [m/s^2]."""
+    out = Writer().head(t, frame).put("d", *turned(0.0), *[0.0] * 9)
+    return out.put("d", *rate, *[0.0] * 9).put("d", *felt, *[0.0] * 9).bytes()
 
 
 def transforms(*edges):

@@ -9,6 +9,7 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.io.fixes import NAVSAT
+from mapweave.io.inertial import IMU
 from mapweave.laser.laser_map import GridMap
 from mapweave.live.door import decode
 from mapweave.live.fix_stream import UNTOLD
@@ -16,12 +17,13 @@ from mapweave.live.laser_feed import ToldUntil
 from mapweave.live.laser_stream import LaserRecord, beams_of, messages_of_laser, scan_of, whole_log
 from mapweave.live.messages import RefusedError, Scans, encode
 from mapweave.live.ros2 import assembly, wire
-from mapweave.live.ros2.assembly import GAP, LEAP, PATIENCE, Assembly
+from mapweave.live.ros2.assembly import GAP, LEAP, PATIENCE, Assembly, Gyroscope
 from mapweave.live.ros2.feed import Graph, chosen, chosen_fixes
 from mapweave.live.ros2.shown import grid_of, pose_of
 from mapweave.live.ros2.wire import NO_HASH, Entity, Topic
 from mapweave.sim.laser_worlds import OfficeConfig, simulate_office
 
+from ..io.made_spins import scans_of, truth_of
 from . import ros_peer
 
 
@@ -481,6 +483,57 @@ def test_a_receiver_is_its_robots_and_poses_by_others_are_heard_where_they_are_n
         chosen_fixes(made, one, "/tb1/scan")
     (only,) = graph(("/scan", wire.SCAN), ("/vrpn/me/pose", wire.GOAL)).robots()
     assert [t.name for t in only.fixes] == ["/vrpn/me/pose"]
+
+
+def headings(scale=1.0, bias=0.0, seconds=40.0, gap=(0.0, 0.0)):
+    """What a gyroscope tells of a robot that spins, stamps and headings; and how it truly turns from scan to scan."""
+    truth, rate = truth_of(seconds, 1.0)
+    rate = np.where(truth.t < truth.t[0] + 3.0, 0.0, rate)  # it stands first
+    stands = (truth.t < truth.t[0] + 3.0)[:, None]
+    truth = replace(truth, pose=np.where(stands, truth.pose[300], truth.pose))
+    t, scans = scans_of(truth)
+    made, out, told = Gyroscope("/imu"), [], iter(zip(truth.t.tolist(), rate.tolist(), strict=True))
+    row = next(told)
+    for at, scan in zip(t.tolist(), scans, strict=True):
+        while row is not None and row[0] <= at + 0.05:
+            if not gap[0] < row[0] - truth.t[0] < gap[1]:
+                made.add(wire.decode(ros_peer.imu(row[0], "imu", (0.0, 0.0, scale * (row[1] + bias))), IMU))
+            row = next(told, None)
+        out += made.turned([(at, scan)], np.array([0.0, 0.0, 1.0]), all_of_them=False)
+    out += made.turned([], np.array([0.0, 0.0, 1.0]), all_of_them=True)
+    assert [at for at, _ in out] == t.tolist()
+    true = np.diff(np.unwrap(se2.interpolate(t, truth.t, truth.pose)[:, 2]))
+    return made, np.array([np.nan if s.heading is None else s.heading for _, s in out]), true
+
+
+@pytest.mark.parametrize(("scale", "bias"), [(1.0, 0.0), (1.0, 0.05), (-1.0, 0.0), (180.0 / math.pi, 0.02)])
+def test_a_robot_without_wheels_is_told_its_turns_once_scans_have_shown_what_they_are_counted_in(scale, bias):
+    made, heading, true = headings(scale, bias)
+    known = np.isfinite(heading)
+    assert not known[:20].any()  # it stands: nothing shows the unit
+    assert known[150:].all()
+    off = (np.diff(heading) - true)[known[1:] & known[:-1]]
+    assert np.abs(off).max() < 0.02
+    assert "imu-turns" in {found.code for found in made.findings}
+    assert len(made._rows) < 6000
+
+
+def test_a_turn_whose_stamp_cannot_be_is_refused():
+    made = Gyroscope("/imu")
+    turn = lambda t: made.add(wire.decode(ros_peer.imu(t, "imu", (0.0, 0.0, 0.1)), IMU))
+    turn(10.0)
+    for wrong in (0.0, 9.0, 500.0):
+        with pytest.raises(RefusedError, match="a turn"):
+            turn(wrong)
+    turn(10.01)
+
+
+def test_turns_that_scans_do_not_show_are_not_told_and_none_is_told_over_a_gap():
+    assert np.isnan(headings(scale=0.0, bias=0.4)[1]).all()
+    _, heading, true = headings(gap=(25.0, 28.0))
+    known = np.isfinite(heading)
+    assert np.abs((np.diff(heading) - true)[known[1:] & known[:-1]]).max() < 0.02
+    assert 20 < (~known[200:]).sum() < 60
 
 
 def test_mounts_compose_as_poses_do():

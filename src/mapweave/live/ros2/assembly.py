@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from ...core.findings import Finding
 from ...core.records import Scan, Track, frozen
 from ...io.assemble import LONGEST_SWEEP, RawScan, floats, is_sound, poses_at, scan_of
 from ...io.fixes import SAME_STAMP, fix_row
+from ...io.inertial import Inertial, Unit, imu_row, with_turns
 from ...io.scan_checks import has_moved, is_frozen, is_habit, is_same_revolution
-from ...io.transforms import Transforms, frame, in_range, planar, rigid
+from ...io.transforms import NOWHERE, Transforms, frame, in_range, planar, rigid, rotation_matrix
 from ..door import GREATEST, MOST_BEAMS, expect_steps
 from ..fix_stream import UNTOLD
 from ..laser_feed import FixRow, Row, Stamped, ToldUntil
@@ -27,6 +29,9 @@ SURE = 3
 MOST_WAITING = 2000  # scans
 OTHER_SWEEP = 0.25  # share by which scanners of one kind differ at most in the time of a scan
 UNDECIDED = 2000  # transforms kept while it is open whether odometry comes from tf
+WINDOW = 400  # scans that tell of a gyroscope's unit and bias
+TURNED_EVERY = 1.0  # [s] of scans that are given their headings together
+MOST_TURNS = 50_000  # messages of an IMU
 POSES, BY_TF, NO_ODOMETRY = "poses", "tf", "none"
 
 
@@ -165,6 +170,11 @@ class Assembly:
         """Those since the last time."""
         out, self._fixes = self._fixes, []
         return out
+
+    def up(self, name: str) -> Float[np.ndarray, "3"]:
+        """Which way is up in a frame, as far as transforms tell: its own z, where they do not."""
+        place = self._tf.rigid_pose(self.base_frame, name) if self.base_frame else None
+        return np.asarray(rotation_matrix((place or NOWHERE)[1])[2])
 
     @property
     def antenna(self) -> tuple[float, ...]:
@@ -340,6 +350,63 @@ class Assembly:
         first = self._waiting[0][0].t if self._waiting else self._rows[-1][0] if self._rows else 0.0
         keep = next((k for k, (_, b) in enumerate(pairwise(self._rows)) if b[0] >= first), max(len(self._rows) - 2, 0))
         del self._rows[:keep]
+
+
+class Gyroscope:
+    """Headings of a robot without odometry: the turns of its IMU, as the reader of recordings finds them in scans.
+
+    Of its unit and its bias the last scans tell. `turned` gives scans their headings, a second's at a time; a scan
+    that came before scans had shown the unit has none.
+    """
+
+    def __init__(self, topic: str) -> None:
+        self.frame = ""
+        self.findings = list[Finding]()
+        self._topic, self._unit, self._clock = topic, Unit(), Clock("a turn")
+        self._rows: deque[tuple[float, ...]] = deque(maxlen=MOST_TURNS)
+        self._waiting: list[Stamped] = []
+        self._told: list[Stamped] = []  # the last ones
+        self._due = -np.inf
+
+    def add(self, message: Any) -> None:
+        """One Imu; raises RefusedError for a stamp that cannot be."""
+        row = imu_row(_stamp(message.header), message)
+        self._clock.take(row[0])
+        self.frame = self.frame or frame(message.header.frame_id)
+        self._rows.append(row)
+
+    def turned(self, placed: Sequence[Stamped], up: Float[np.ndarray, "3"], *, all_of_them: bool) -> list[Stamped]:
+        """Scans whose turns are known by now, or will not be. up: in the unit's frame."""
+        self._waiting += placed
+        if not self._waiting or not (all_of_them or self._waiting[-1][0] > self._due):
+            return []
+        until = max(self._rows[-1][0] if self._rows else -np.inf, self._waiting[-1][0] - PATIENCE)
+        out = [one for one in self._waiting if all_of_them or one[0] <= until]
+        self._waiting = self._waiting[len(out) :]
+        self._due = out[-1][0] + TURNED_EVERY if out else self._due
+        told, out = self._told, self._headed(out, up) if out else out
+        self._told = [*told, *out][-WINDOW:]
+        while self._rows and self._told and self._rows[0][0] < self._told[0][0] - TURNED_EVERY:
+            self._rows.popleft()
+        return out
+
+    def _headed(self, fresh: list[Stamped], up: Float[np.ndarray, "3"]) -> list[Stamped]:
+        every = [*self._told, *fresh]
+        t, scans = np.array([t for t, _ in every]), [scan for _, scan in every]
+        rows = floats(list(self._rows)).reshape(-1, 7)
+        found = with_turns(Inertial(self._topic, rows, up), "", t, scans, None, self._unit)
+        self._unit = found.unit
+        if found.unused or found.unit.scale is None:
+            return fresh
+        self.findings = [f for f in found.findings if f.code.startswith("imu-")]
+        last = scans[len(self._told) - 1].heading if self._told else None
+        here = found.scans[len(self._told) - 1].heading
+        turn = 0.0 if last is None or here is None else last - here
+        headed = [s.heading for s in found.scans[len(self._told) :]]
+        return [
+            (at, replace(scan, heading=None if heading is None else heading + turn))
+            for (at, scan), heading in zip(fresh, headed, strict=True)
+        ]
 
 
 def _sound(pose: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "4"]]) -> bool:

@@ -8,15 +8,17 @@ from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import partial
 from queue import Empty, Full, Queue
+from typing import Any
 
 from msgspec import structs
 
 from ...io.bag_robots import FIXES
 from ...io.fixes import NAVSAT, frame_of
+from ...io.inertial import IMU
 from ..laser_feed import Packets, Row, Stamped, log_robot, told_until
 from ..messages import Closed, FixSource, Header, Numbered, RefusedError
 from ..transport import Callback, HistoryConfig, Sample, SampleKind, Session, declare_advanced_subscriber
-from .assembly import NO_ODOMETRY, POSES, Assembly
+from .assembly import BY_TF, NO_ODOMETRY, POSES, Assembly, Gyroscope
 from .wire import (
     BRIDGE,
     NO_HASH,
@@ -43,7 +45,8 @@ class RosRobot:
     """One robot of a graph. name: its namespace without slashes around, empty where there is none.
 
     tf, tf_static: topics of transforms, its own before those of all; scanners: its other scans; beside: other odometry,
-    which is not heard; fixes: topics that tell where it is, of which one may be heard.
+    which is not heard; fixes: topics that tell where it is, of which one may be heard; imu: that tell its turns, of
+    which one is heard where it has no odometry.
     """
 
     name: str
@@ -53,6 +56,7 @@ class RosRobot:
     scanners: tuple[Topic, ...] = ()
     beside: tuple[str, ...] = ()
     fixes: tuple[Topic, ...] = ()
+    imu: tuple[Topic, ...] = ()
 
     @property
     def called(self) -> str:
@@ -107,11 +111,11 @@ class Graph:
     def robots(self) -> list[RosRobot]:
         """Every robot that publishes scans, in the order of names."""
         scans, odometry, tf = self.published(SCAN), self.published(ODOMETRY), self.published(TF)
-        fixes = self.fixes()
+        fixes, imu = self.fixes(), self.published(IMU)
         homes: dict[str, list[Topic]] = {}
         for topic in scans:
             homes.setdefault("/".join(_home(_place(topic), [_place(t) for t in (*odometry, *tf)])), []).append(topic)
-        return [self._robot(name, homes, odometry, tf, fixes) for name in sorted(homes)]
+        return [self._robot(name, homes, odometry, tf, fixes, imu) for name in sorted(homes)]
 
     def fixes(self) -> list[Topic]:
         """All topics that tell positions."""
@@ -124,6 +128,7 @@ class Graph:
         odometry: Sequence[Topic],
         tf: Sequence[Topic],
         fixes: Sequence[Topic],
+        imu: Sequence[Topic],
     ) -> RosRobot:
         place: Place = tuple(name.split("/")) if name else ()
         others = [tuple(h.split("/")) for h in homes if h and h != name]
@@ -138,8 +143,8 @@ class Graph:
         own = [t for t in tf if place and _within(_place(t), place)]
         shared = [t for t in tf if not _place(t)]
         beside = tuple(t.name for t in wheels[1:])
-        told = tuple(mine_of(fixes))
-        return RosRobot(name, scan, wheels[0] if wheels else None, (*own, *shared), tuple(more), beside, told)
+        told, turns = tuple(mine_of(fixes)), tuple(_best(mine_of(imu), "imu"))
+        return RosRobot(name, scan, wheels[0] if wheels else None, (*own, *shared), tuple(more), beside, told, turns)
 
 
 def chosen(robots: Sequence[RosRobot], name: str, pattern: str | None) -> RosRobot | None:
@@ -249,6 +254,7 @@ class RosFeed:
         self.asked, self.graph = asked, Graph()
         self.robot: RosRobot | None = None
         self._fixes: Topic | None = None
+        self._gyroscope: Gyroscope | None = None
         self.member: Member | None = None
         self.assembly = Assembly(sensor_pose=asked.sensor_pose)
         self.lost: Counter[str] = Counter()
@@ -295,7 +301,7 @@ class RosFeed:
         if not self._begun(now=True):
             return []
         assert self._packets is not None  # noqa: S101  (begun)
-        out = self._whole(*self.assembly.ready(all_of_them=True))
+        out = self._whole(*self.assembly.ready(all_of_them=True), end=True)
         self._tell()
         return [] if self._new else [*out, *self._packets.amended(self._known()), *self._packets.close()]
 
@@ -352,16 +358,21 @@ class RosFeed:
         return FixSource(frame=frame, topic=topic.name, antenna=antenna, dropped=dict(a.fixes_left))
 
     def _known(self) -> Header:
-        """The header, with what of the fixes was known only when some had come."""
+        """The header, with what of fixes and turns was known only when some had come."""
         assert self._packets is not None  # noqa: S101  (begun)
         header, source = self._packets.header, self._fix_source()
-        if header.fixes is None or source is None or not (self.assembly.fix_frame or self.assembly.fixes_left):
-            return header
-        return structs.replace(header, fixes=source)
+        if header.fixes is not None and source is not None and (self.assembly.fix_frame or self.assembly.fixes_left):
+            header = structs.replace(header, fixes=source)
+        if self._gyroscope is not None and self._gyroscope.findings:
+            found = [replace(one, robot=header.log_robot).row() for one in self._gyroscope.findings]
+            header = structs.replace(header, findings=found)
+        return header
 
-    def _whole(self, placed: list[Stamped], rows: list[Row]) -> list[Numbered]:
+    def _whole(self, placed: list[Stamped], rows: list[Row], *, end: bool = False) -> list[Numbered]:
         """Messages that are complete now; the header comes before the first scan."""
         assert self._packets is not None  # noqa: S101  (begun)
+        if self._gyroscope is not None and self.assembly.wheels == NO_ODOMETRY:
+            placed = self._gyroscope.turned(placed, self.assembly.up(self._gyroscope.frame), all_of_them=end)
         new = bool(placed) and self._new
         self._new = self._new and not new
         return [*([self._packets.header] if new else []), *self._packets.add(placed, rows, self.assembly.fixes())]
@@ -396,8 +407,17 @@ class RosFeed:
             self.assembly.odometry(message)
         elif topic.kind in FIXES:
             self.assembly.fix(message)
+        elif topic.kind == IMU:
+            self._turn(message)
         else:
             self.assembly.transforms(message)
+
+    def _turn(self, message: Any) -> None:
+        try:
+            if self._gyroscope is not None and self.assembly.wheels != BY_TF:
+                self._gyroscope.add(message)
+        except RefusedError as error:
+            self.assembly.refuse(error)
 
     def _is_new(self, topic: Topic, attachment: bytes | None) -> bool:
         """Whether this is the next message of its publisher, or a later one; what is between them was lost.
@@ -439,6 +459,8 @@ class RosFeed:
             self._once(f"--fixes {self.asked.fixes}: of another robot, or it is not told of which: not heard")
         self.robot = choice
         wheels = choice.odometry.name if choice.odometry else "tf, if that tells any"
+        imu = choice.imu[:1] if choice.odometry is None else ()
+        self._gyroscope = Gyroscope(imu[0].name) if imu else None
         scanners = choice.scanners if self.asked.all_scanners else ()
         left = [*([] if scanners else [t.name for t in choice.scanners]), *choice.beside]
         beside = f"; not heard: {', '.join(left)}" if left else ""
@@ -446,17 +468,18 @@ class RosFeed:
         if not choice.scan.bridged:
             self.member.declare(NODE)
         self._last = now
-        self._heard_topics((*choice.topics, *scanners, *([self._fixes] if self._fixes else [])))
+        self._heard_topics((*choice.topics, *scanners, *([self._fixes] if self._fixes else []), *imu))
         scans = " and ".join(topic.name for topic in (choice.scan, *scanners))
         through = f" through {BRIDGE}" if choice.scan.bridged else ""
         fixes = f", position fixes from {self._fixes.name}" if self._fixes else ""
-        self._once(f"hears {scans}{through}, odometry from {wheels}{fixes}{beside}")
+        turns = f", turns of {imu[0].name} without it" if imu else ""
+        self._once(f"hears {scans}{through}, odometry from {wheels}{turns}{fixes}{beside}")
 
     def _heard_topics(self, topics: Sequence[Topic]) -> None:
         assert self.member is not None  # noqa: S101  (chosen)
         for topic in topics:
             latched = topic.qos.transient_local
-            reliable = topic.qos.reliable if topic.kind in FIXES else topic.kind != SCAN
+            reliable = topic.qos.reliable if topic.kind in {IMU, *FIXES} else topic.kind != SCAN
             qos = Qos(reliable, latched, 100 if topic.kind == TF else 10)
             self.member.declare(SUBSCRIPTION, replace(topic, qos=qos))
             self._declared.append(
