@@ -13,12 +13,15 @@ import pytest
 import mapweave
 from mapweave.api.live import _final
 from mapweave.api.map_options import MapOptions
-from mapweave.core.errors import ReaderError, UsageError
+from mapweave.core.errors import DataError, ReaderError, UsageError
 from mapweave.io.laser_logs import LaserSource, read_laser
 from mapweave.io.mcap import write_mcap
+from mapweave.io.range_bags import read_range_bag
+from mapweave.live.door import decode
 from mapweave.live.fix_stream import fix_columns
 from mapweave.live.laser_stream import LaserRecord, messages_of_laser, scans_told
 from mapweave.live.messages import Closed, Header, RefusedError, Scans, encode, unpack
+from mapweave.live.range_stream import RangeRecord, of_robot, ranges_told
 from mapweave.live.sources import BagFeed, open_recording
 from mapweave.live.store import Store
 from mapweave.live.transport import Network
@@ -39,9 +42,9 @@ def recording(tmp_path_factory):
     return drive, path.read_bytes()
 
 
-def feed_of(path, said, stop=None, fixes=None):
-    read = lambda at: open_recording(at, "r1", None, fixes)
-    feed = BagFeed(path, read, "r1", "run", 0.2, stop or threading.Event(), said.append)
+def feed_of(path, said, stop=None, fixes=None, name="r1"):
+    read = lambda at: open_recording(at, name, None, fixes)
+    feed = BagFeed(path, read, name, "run", 0.2, stop or threading.Event(), said.append)
     feed.resume([])
     return feed
 
@@ -58,10 +61,10 @@ def taken(feed, until):
     return out
 
 
-def grown(path, whole, shares, fixes=None):
+def grown(path, whole, shares, fixes=None, name="r1"):
     """What a feed tells of a recording of these bytes that grows; and how many messages before it is closed."""
-    path.parent.mkdir()
-    feed = feed_of(path, [], fixes=fixes)
+    path.parent.mkdir(exist_ok=True)
+    feed = feed_of(path, [], fixes=fixes, name=name)
     told = []
     for share in shares:
         path.write_bytes(whole[: int(share * len(whole))])
@@ -76,12 +79,11 @@ def headers(messages):
     return [k for k, message in enumerate(messages) if isinstance(message, Header)]
 
 
-def mapped(messages, folder):
+def mapped(folder, **messages):
     """The result of a map process that heard these messages."""
     with Store(folder / "s.sqlite", "a map") as store:
-        inbox = heard(store, {"r1": [encode(message) for message in messages]})
-        assert inbox.ledgers["r1"].complete
-        assert not inbox.ledgers["r1"].fault
+        inbox = heard(store, {name: [encode(message) for message in each] for name, each in messages.items()})
+        assert all(ledger.complete and not ledger.fault for ledger in inbox.ledgers.values())
         _final(inbox, MapOptions(), print).write(folder / "out")
     return folder / "out"
 
@@ -176,7 +178,7 @@ def test_a_recording_with_fixes_gives_the_map_of_the_whole_whatever_they_are_lik
     assert len(before) > 2
     assert told[-2].fixes.dropped == {"fix that is no number": 1}
     mapweave.map(path, tmp_path / "direct")
-    same_result(tmp_path / "direct", mapped(told, tmp_path))
+    same_result(tmp_path / "direct", mapped(tmp_path, r1=told))
 
 
 def test_motion_capture_that_is_named_is_told_and_a_name_of_none_is_one_error_once_it_is_closed(tmp_path):
@@ -224,7 +226,7 @@ def test_a_recording_with_a_gyroscope_gives_the_map_of_the_whole(tmp_path):
     path = tmp_path / "growing" / "a.mcap"
     told, _ = grown(path, spin_bag(tmp_path / "a.mcap", truth, rate, wheels=1.6).read_bytes(), (0.4, 0.8))
     mapweave.map(path, tmp_path / "direct")
-    same_result(tmp_path / "direct", mapped(told, tmp_path))
+    same_result(tmp_path / "direct", mapped(tmp_path, r1=told))
 
 
 def test_one_that_was_ended_while_it_told_all_anew_does_so_again(tmp_path):
@@ -271,3 +273,92 @@ def test_a_receiver_that_speaks_late_is_in_the_map_of_the_whole(tmp_path):
     told, _ = grown(tmp_path / "growing" / "a.mcap", out.write().read_bytes(), (0.3,))
     assert told[0].fixes is None
     assert len(scans_told(told).fixes) == 20
+
+
+@pytest.fixture(scope="module")
+def radios(tmp_path_factory):
+    """The bytes of a recording of ranges, with fixes."""
+    home = tmp_path_factory.mktemp("radios")
+    made = mapweave.simulate_team(
+        home / "log", ranges=True, lasers=2, cameras=0, bearings=0, beacons=2, minutes=0.4, fixes=0.5
+    )
+    assert len(made.robots) == 2
+    (path,) = (home / "log").glob("*.mcap")
+    return path.read_bytes()
+
+
+def test_ranges_of_a_recording_that_grows_are_told_as_they_come_and_give_the_map_of_the_whole(tmp_path, radios):
+    path = tmp_path / "growing" / "radios.mcap"
+    told, early = {}, {}
+    for name in ("r1", "r2"):
+        path.unlink(missing_ok=True)
+        told[name], early[name] = grown(path, radios, (0.2, 0.5, 0.8), name=name)
+    for name, each in told.items():
+        assert [m.seq for m in each] == list(range(len(each)))
+        assert headers(each) == [0, len(each) - 2]  # nothing is told twice
+        assert sum(unpack(m.told, 2).shape[1] for m in each[1 : early[name]]) > 100
+    mapweave.map(path, tmp_path / "direct")
+    same_result(tmp_path / "direct", mapped(tmp_path, **told))
+
+
+def test_ranges_told_by_other_names_than_the_whole_has_are_told_anew(tmp_path, radios):
+    """A second robot is in the recording late: the first told of its radio as of a beacon's."""
+    log = read_range_bag_of(tmp_path, radios)
+    late = replace(log, odometry={k: v for k, v in log.odometry.items() if k == "robot1"})
+    logs = iter([late.until(log.span[0] + 10.0), log])
+    stop = threading.Event()
+    path = tmp_path / "a.mcap"
+    path.write_bytes(radios[:-20])
+    feed = BagFeed(path, lambda _: of_robot(next(logs), "robot1"), "r1", "run", 0.5, stop, print)
+    feed.resume([])
+    told = feed.take(0.0)
+    assert len(told) > 5
+    stop.set()
+    told += feed.close()
+    assert len(headers(told)) == 2
+    again, own = ranges_told(told), of_robot(log, "robot1")
+    assert (again.names, again.others, again.log_hash) == (own.names, own.others, own.log_hash)
+    assert len(again.z) == len(own.z)
+    kept = told[: headers(told)[1] + 2]
+    assert ranges_told(kept).others == ()  # until it is told to the end
+    for resumed in (kept, told[:5]):
+        feed = BagFeed(path, lambda _: of_robot(log, "robot1"), "r1", "run", 0.5, stop, print)
+        feed.resume(resumed)
+        rest = feed.close()
+        assert [m.seq for m in rest] == [len(resumed) + k for k in range(len(rest))]
+        np.testing.assert_array_equal(ranges_told([*resumed, *rest]).z, again.z)
+
+
+def read_range_bag_of(folder, data):
+    (folder / "whole.mcap").write_bytes(data)
+    return read_range_bag(folder / "whole.mcap")
+
+
+def test_a_robot_driven_by_a_recording_of_ranges_says_so_of_its_history(tmp_path, radios):
+    (tmp_path / "a.mcap").write_bytes(radios)
+    options = {"network": Network(listen=("tcp/127.0.0.1:0",)), "linger": 0.0, "history": tmp_path / "r1.sqlite"}
+    drive = lambda: mapweave.live_robot("r1", tmp_path / "a.mcap", follow=True, say=lambda _: None, **options)
+    done = drive()
+    with Store(tmp_path / "r1.sqlite", "robot r1 of team team") as store:
+        assert store.about("sensor") == "ranges"
+        kept = [decode(payload) for _, payload in store.get("r1", 0, 1 << 30)]
+    assert done.messages == len(kept)
+    assert len(ranges_told(kept).z) > 300
+    with pytest.raises(UsageError, match="this drive has ended"):
+        drive()
+
+
+def test_a_header_amid_ranges_is_that_of_its_log_and_of_its_names():
+    words = {"robot": "r1", "run": "a", "sensor": "ranges", "source": "", "odometry": True}
+    record = RangeRecord(Header(**words, log_robot="a1", names=["a1", "b"]))
+    with pytest.raises(RefusedError, match="a header of another log"):
+        record.add(Header(**words, seq=1, log_robot="b", names=["a1", "b"]))
+    record.add(Header(**words, seq=1, log_robot="a1", names=["a1", "c", "b"]))
+    with pytest.raises(RefusedError, match="names are not those that ranges were told by"):
+        record.add(Closed(robot="r1", run="a", seq=2))
+
+
+def test_radios_are_of_recordings_of_ranges_alone(recording, tmp_path):
+    (tmp_path / "a.mcap").write_bytes(recording[1])
+    with pytest.raises(DataError, match="--radios: only for recordings of ranges, found"):
+        open_recording(tmp_path / "a.mcap", "r1", None, None, {"n_1": "robot1"})

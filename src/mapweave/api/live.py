@@ -31,7 +31,7 @@ from ..live.landmark_stream import LandmarkRobot
 from ..live.map_process import MapProcess
 from ..live.messages import Header, Topics, check_name
 from ..live.range_stream import RangeRobot, of_team
-from ..live.robot import Listeners, Pace, RobotProcess
+from ..live.robot import Driving, Listeners, Pace, RobotProcess
 from ..live.sources import BagFeed, LiveLog, messages, open_recording, open_source
 from ..live.store import Store, begun
 from ..live.told import follow
@@ -151,7 +151,7 @@ def live_robot(
         which then are input and no truth (satellite fixes alone); none: no fixes.
     follow
         The source is a recording that is still written (.mcap, .db3, .bag or a folder), or is not there yet: its scans
-        and fixes are told as they come, until it is closed or `stop`.
+        or ranges, and its fixes, are told as they come, until it is closed or `stop`.
     rate
         Seconds of the log in one second of the clock (1); inf is as fast as it goes.
     period
@@ -192,7 +192,7 @@ def live_robot(
     with Store(path, f"robot {name} of team {network.team}") as store, ExitStack() as opened:
         if fresh:
             store.clear()
-        run = begun(store, _sensor(log), period)
+        run = begun(store, (store.about("sensor") if follow else None) or _sensor(log), period)
         if ros2:
             sent, ears = drive_ros2(name, options, fixes, store, run, period, linger, config, network, stop, say, wall)
             return _ended(name, sent, ears, store)
@@ -206,9 +206,13 @@ def live_robot(
         told = f"follows {source}" if log is None else f"{_robot_of(log)} of {source}"
         say(f"{name}: {told}, team {network.team}, history in {path}")
         if log is None:
-            opener = partial(open_recording, name=name, robot=robot, fixes=fixes)
+            opener = partial(open_recording, name=name, robot=robot, fixes=fixes, radios=radios)
             feed = BagFeed(Path(source), opener, name, run, period, stop, say)
-            begin = partial(_driving, settings=config)
+
+            def begin(header: Header) -> Driving:
+                store.set_about("sensor", header.sensor)
+                return _driving(header, config)
+
             sent = process.follow(feed, begin, Pace(linger=linger), feed.ended, lambda _: None)
         else:
             expected = bool(network.connect or network.listen)
@@ -228,8 +232,8 @@ def _check_origin(*, ros2: bool, follow: bool, paced: bool, graph: bool, radios:
     if graph and not ros2:
         words = "--domain, --pattern, --graph, --sensor-pose, --all-scanners, --team-map, --goals"
         raise UsageError(f"{words}: of --source {ROS2} alone")
-    if radios and (ros2 or follow):
-        raise UsageError("--radios: only for recordings of ranges that are whole")
+    if radios and ros2:
+        raise UsageError(f"--radios: only for recordings of ranges, found --source {ROS2}")
 
 
 def _check_pace(rate: float, period: float, linger: float) -> None:

@@ -1,7 +1,7 @@
 """What processes of a team say to each other: MessagePack maps with a tag `type` and the protocol version `v`.
 
 Numbered messages (`Header`, `Rows`, `Scans`, `Radios`, `Closed`) are a robot's history: number 0 is its header, and
-none is ever changed. What a laser robot knows at the end alone is a header once more. The others tell how things stand
+none is ever changed. What a robot knows at the end alone is a header once more. The others tell how things stand
 and may be lost. Columns are bytes: little-endian float64, one column after the other (`pack`), or as few as a sensor's
 need (`squeeze`), which come back to the bit. Times are in seconds of the robot's own clock, lengths in metres, angles
 in radians. They are read by `door.decode` alone.
@@ -48,8 +48,8 @@ class FixSource(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 class Header(_Message, tag="header", frozen=True):
     """The first message of a history: who tells it, and what its log is called by those who read it whole.
 
-    A later one tells that anew, of a laser's log, before it is closed: scans that follow it are the whole log once
-    more, in place of what was told before.
+    A later one tells that anew, of scans or ranges, before the log is closed: those that follow it are the whole log
+    once more, in place of what was told before.
 
     sensor: "landmarks", "laser" or "ranges"; log_robot: `robotK`, of ranges any name; names: landmarks and robots by
     the index that `Rows.what` counts from (`Radios.whom`: itself, robots and beacons), bearing_names: those that

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..core import se2
 from ..core.findings import finding_of, unused_of
@@ -89,10 +89,9 @@ def of_team(logs: Sequence[RangeLog]) -> RangeLog:
 def messages_of_ranges(log: RangeLog, robot: str, run: str, period: float) -> Iterator[tuple[float, Numbered]]:
     """All messages of one robot's whole log and when each is complete [s], as of the other kinds."""
     ((name, track),) = log.odometry.items()
-    bad = ~(np.isfinite(log.z) & (log.z > 0)) & (log.a != log.b)
-    dropped = {**log.dropped, NO_NUMBER: log.dropped.get(NO_NUMBER, 0) + int(bad.sum())} if bad.any() else log.dropped
-    order = np.flatnonzero(~bad)
-    order = order[np.argsort(log.t[order], kind="stable")]
+    order = told_of(log)
+    bad = len(log.z) - len(order)
+    dropped = {**log.dropped, NO_NUMBER: log.dropped.get(NO_NUMBER, 0) + bad} if bad else log.dropped
     a, b, t, z = log.a[order], log.b[order], log.t[order], log.z[order]
     own = a == log.names.index(name)
     begin = min([float(track.t[0]), *t[:1].tolist()])
@@ -143,6 +142,12 @@ def messages_of_ranges(log: RangeLog, robot: str, run: str, period: float) -> It
     yield end, Closed(robot=robot, run=run, seq=seq + 1)
 
 
+def told_of(log: RangeLog) -> Int[np.ndarray, " k"]:
+    """The ranges that are told, in order of time: all but those that are no numbers."""
+    order = np.flatnonzero((np.isfinite(log.z) & (log.z > 0)) | (log.a == log.b))
+    return np.asarray(order[np.argsort(log.t[order], kind="stable")])
+
+
 @dataclass(frozen=True, slots=True)
 class RadioPart:
     """The rows of one message: track of t, x, y, theta; told: t and range; a, b: ends, as an index into all names."""
@@ -167,6 +172,7 @@ class RangeRecord:
     _names: set[str] = field(init=False)
     _mine: int = field(init=False)
     _others: list[int] = field(init=False)
+    _anew: Header | None = None
     _fixes: FixRecord = field(init=False)
 
     def __post_init__(self) -> None:
@@ -181,11 +187,25 @@ class RangeRecord:
         """Its rows; raises RefusedError when they can't be those of this robot."""
         if self.closed:
             raise RefusedError("malformed", "a message after the last one")
-        if isinstance(message, Closed):
-            self.closed = True
-            return None
-        if not isinstance(message, Radios):
+        if isinstance(message, Radios):
+            return self._rows(message)
+        if isinstance(message, Header):
+            if (message.sensor, message.log_robot) != (self.header.sensor, self.header.log_robot):
+                raise RefusedError("malformed", "a header of another log")
+            self._anew = message
+        elif isinstance(message, Closed):
+            if self._anew is not None and self._anew.names != self.header.names:
+                raise RefusedError("malformed", "a header whose names are not those that ranges were told by")
+            self.closed, self.header = True, self._anew or self.header
+        else:
             raise RefusedError("sensor", f"{type(message).__name__} from a robot that announced ranges")
+        return None
+
+    def _rows(self, message: Radios) -> RadioPart:
+        if self._anew is not None:
+            fresh = RangeRecord(self._anew)
+            for name in self.__slots__:
+                setattr(self, name, getattr(fresh, name))
         track, told = unpack(message.track, 4), unpack(message.told, 2)
         if not (np.diff(np.concatenate([[self._driven], track[0]])) > 0).all():
             raise RefusedError("malformed", "odometry that steps back in time")
@@ -205,18 +225,28 @@ class RangeRecord:
 
 
 def ranges_told(messages: Iterable[Message]) -> RangeLog | None:
-    """The log that a ranging robot's messages make, from its header on; None without one, or without odometry."""
+    """The log that a ranging robot's messages make, from its header on; None without one, or without odometry.
+
+    Of one that is told anew, what it was before until it is told to the end.
+    """
     record: RangeRecord | None = None
     parts: list[RadioPart] = []
+    anew: list[RadioPart] | None = None
     for message in messages:
-        if isinstance(message, Header):
-            record = RangeRecord(message)
-        elif isinstance(message, Radios) and record is not None:
+        if record is None:
+            if not isinstance(message, Header):
+                return None
+            record, h = RangeRecord(message), message
+        elif isinstance(message, Numbered):
             part = record.add(message)
-            parts += [] if part is None else [part]
+            if isinstance(message, Header):
+                anew = []
+            elif part is not None:
+                (parts if anew is None else anew).append(part)
+    if record is not None and record.closed:
+        h, parts = record.header, anew or parts
     if record is None or not any(part.track.shape[1] for part in parts):
         return None
-    h = record.header
     track = np.concatenate([part.track for part in parts], axis=1)
     t, z = np.concatenate([part.told for part in parts], axis=1)
     fixes = fixes_of(h.fixes, [part.fixes for part in parts])
@@ -246,10 +276,12 @@ class RangeRobot:
         self.t: float | None = None
         self._pose, self._cov = np.zeros(3), np.zeros((3, 3))
         self._row: np.ndarray | None = None
+        self._told = False  # whether what comes is told once more
 
     def add(self, message: Numbered) -> None:
         """The estimate with the rows of `message`."""
-        if isinstance(message, Header):  # it was begun with it
+        self._told |= isinstance(message, Header) and message.seq > 0
+        if isinstance(message, Header) or self._told:  # it was begun with it; what is told anew it has seen
             return
         part = self.record.add(message)
         if part is None or not part.track.shape[1]:

@@ -16,6 +16,7 @@ from msgspec import structs
 
 from ..core import se2
 from ..core.errors import DataError, ReaderError, UsageError
+from ..core.fixes import Fixes
 from ..core.landmark_log import LandmarkLog
 from ..core.laser_log import LaserLog
 from ..core.names import in_order, robot_key, robot_name
@@ -33,9 +34,9 @@ from ..sim.laser_worlds import OfficeConfig, office_route, office_world
 from .fix_stream import fix_columns, source_of
 from .landmark_stream import messages_of
 from .laser_feed import Packets, ScanFeed
-from .laser_stream import LaserRecord, header_of, messages_of_laser
-from .messages import Header, Numbered
-from .range_stream import messages_of_ranges, of_robot
+from .laser_stream import LaserRecord, messages_of_laser
+from .messages import Header, Numbered, Radios
+from .range_stream import messages_of_ranges, of_robot, ranges_told, told_of
 
 LiveLog = LandmarkLog | LaserLog | RangeLog
 LANDMARKS, OFFICE = "sim:landmarks", "sim:office"
@@ -101,10 +102,16 @@ def messages(log: LiveLog, robot: str, run: str, period: float) -> Iterator[tupl
     return messages_of(log, robot, run, period)
 
 
-def open_recording(path: Path, name: str, robot: str | None, fixes: str | None = None) -> LaserLog:
-    """The laser log of one robot of the recording at `path`, as far as it is written; errors as of `open_source`."""
+def open_recording(
+    path: Path, name: str, robot: str | None, fixes: str | None = None, radios: Mapping[str, str] | None = None
+) -> LaserLog | RangeLog:
+    """The log of one robot of the recording at `path`, as far as it is written; errors as of `open_source`."""
     number = re.search(r"(\d+)$", name)
     key = robot if robot is not None else None if number is None else str(int(number[1]))
+    if is_range_bag(path, growing=True):
+        return _ranging(read_range_bag(path, radios, fixes), key, name, asked=robot is not None)
+    if radios:
+        raise DataError(f"--radios: only for recordings of ranges, found {path}")
     return _laser(path, LaserSource(fixes=fixes), key, name, asked=robot is not None)
 
 
@@ -184,14 +191,15 @@ def _chosen(logs: list[LandmarkLog], key: str | None, name: str, source: str, *,
 
 IDLE = 4.0  # times what a reading took pass before the next: it is read from its beginning
 QUIET = 30.0  # [s] without growth after which that is said
+RANGED = 0.5  # [s] by which stamps of ranges may be earlier than what was recorded before them
 HEADED = 2.0  # [s] of the log that a scan waits for its heading at most
 MAGIC = b"\x89MCAP0\r\n"  # ends an MCAP file that was closed
 
-Read = Callable[[Path], LaserLog]
+Read = Callable[[Path], LaserLog | RangeLog]
 
 
 class BagFeed(ScanFeed):
-    """What the recording at `path` holds so far, each scan once and when its odometry is there too.
+    """What the recording at `path` holds so far, each scan, or range, once and when its odometry is there too.
 
     `ended` is set when `stop` is, or when the recording was closed and all of it is read; one that was cut off is
     waited for, which is said, as is what cannot be read yet. What shows in the whole of a log alone is told at the end:
@@ -212,13 +220,20 @@ class BagFeed(ScanFeed):
     def resume(self, kept: Sequence[Numbered]) -> None:
         super().resume(kept)
         self._last = self.resumed
-        record = LaserRecord(kept[0]) if kept and isinstance(kept[0], Header) else None
-        for message in kept[1:] if record is not None else ():
-            self._anew |= isinstance(message, Header)  # it was ended before all of it was told once more
-            part = None if record is None or self._anew else record.add(message)
-            if part is not None:
-                self._digest.add(part)
-                self._behind = self._behind.after(part)
+        again = next((k for k, message in enumerate(kept) if k and isinstance(message, Header)), None)
+        self._anew = again is not None  # it was ended before all of it was told once more
+        header = kept[0] if kept and again is None else None
+        if isinstance(header, Header) and header.sensor == "ranges":
+            log = ranges_told(kept)
+            if log is not None:
+                self._digest.add_ranges(log)
+                self._behind = self._behind.after_ranges(log)
+        elif isinstance(header, Header):
+            record = LaserRecord(header)
+            for part in map(record.add, kept[1:]):
+                if part is not None:
+                    self._digest.add(part)
+                    self._behind = self._behind.after(part)
 
     def take(self, timeout: float) -> list[Numbered]:
         if self._stop.wait(timeout) or self._anew:
@@ -254,16 +269,27 @@ class BagFeed(ScanFeed):
         out = [] if self._anew else self._new(log, math.inf)
         if self._packets is None:
             return out
-        header, whole = header_of(log, self._name, self._run), LogDigest()
-        whole.add(log)
-        if not self._anew and whole.parts == self._digest.parts:
+        header, begun, whole = self._header_of(log), self._packets.header, LogDigest()
+        if header.sensor != begun.sensor:
+            self._once(f"holds {header.sensor} where it held {begun.sensor}: what it holds now is not told")
+            return [*out, *self._packets.close()]
+        if isinstance(log, RangeLog):
+            whole.add_ranges(log)
+        else:
+            whole.add(log)
+        if not self._anew and whole.parts == self._digest.parts and header.names == begun.names:
             return [*out, *self._packets.amended(header), *self._packets.close()]
         out += self._packets.rest()
         first = self._packets.last + 1
-        again = messages_of_laser(log, self._name, self._run, self._period)
+        again = messages(log, self._name, self._run, self._period)
         return [*out, *(structs.replace(message, seq=first + message.seq) for _, message in again)]
 
-    def _logged(self, *, closed: bool = False) -> LaserLog | None:
+    def _header_of(self, log: LaserLog | RangeLog) -> Header:
+        header = next(messages(log, self._name, self._run, self._period))[1]
+        assert isinstance(header, Header)  # noqa: S101  (the first of every log)
+        return header
+
+    def _logged(self, *, closed: bool = False) -> LaserLog | RangeLog | None:
         """The log so far, None of none yet, which is said; raises what is wrong with one that is `closed`."""
         if not self._path.exists() or not is_bag(self._path):
             self._once(f"waits for {self._path}, which is no recording yet")
@@ -280,9 +306,11 @@ class BagFeed(ScanFeed):
                 self._once(found.text)
         return log
 
-    def _new(self, log: LaserLog, until: float) -> list[Numbered]:
+    def _new(self, log: LaserLog | RangeLog, until: float) -> list[Numbered]:
         """Messages of what is new up to `until` [s], as it goes on from what was told."""
-        header = header_of(log, self._name, self._run) if self._packets is None else self._packets.header
+        header = self._header_of(log) if self._packets is None else self._packets.header
+        if isinstance(log, RangeLog):
+            return self._new_ranges(log, header, until)
         part = self._behind.going_on(log, header, self._last, until)
         if part is None:
             self._once("reads otherwise than it did: what follows is told when it is closed")
@@ -300,14 +328,30 @@ class BagFeed(ScanFeed):
         placed = list(zip(part.scan_t.tolist(), part.scans, strict=True))
         return [*([header] if begin else []), *self._packets.add(placed, rows, fixes)]
 
+    def _new_ranges(self, log: RangeLog, header: Header, until: float) -> list[Numbered]:
+        part = None if header.sensor != "ranges" else self._behind.ranges(log, header, until)
+        if part is None:
+            return []
+        out: list[Numbered] = [] if self._packets is not None else [header]
+        self._packets = self._packets or Packets(header, self._period)
+        self._digest.add_ranges(part)
+        self._behind = self._behind.after_ranges(part)
+        for _, message in messages_of_ranges(part, self._name, self._run, self._period):
+            if isinstance(message, Radios):
+                self._packets.last += 1
+                out.append(structs.replace(message, seq=self._packets.last))
+        return out
+
     def _once(self, words: str) -> None:
         if words not in self._said:
             self._said.add(words)
             self._say(f"{self._name}: {words}")
 
 
-def _whole_until(log: LaserLog) -> float:
-    """Until when [s] scans of a recording that grows have all they will have: odometry, or headings that come late."""
+def _whole_until(log: LaserLog | RangeLog) -> float:
+    """Until when [s] what a recording that grows holds has all it will have: odometry, or headings that come late."""
+    if isinstance(log, RangeLog):
+        return log.span[1] - RANGED
     if log.odometry is not None:
         return float(log.odometry.t[-1])
     headed = [t for t, scan in zip(log.scan_t.tolist(), log.scans, strict=True) if scan.heading is not None]
@@ -315,7 +359,7 @@ def _whole_until(log: LaserLog) -> float:
 
 
 class LogDigest:
-    """A digest of scans, odometry and fixes, in whatever parts they come. `add` changes it."""
+    """A digest of scans or ranges, of odometry and fixes, in whatever parts they come. `add` changes it."""
 
     def __init__(self) -> None:
         self._all = tuple(hashlib.sha256() for _ in range(3))
@@ -331,6 +375,18 @@ class LogDigest:
         if log.fixes is not None:
             fixes.update(np.ascontiguousarray(fix_columns(log.fixes).T).tobytes())
 
+    def add_ranges(self, log: RangeLog) -> None:
+        """The same of what a robot tells that ranges."""
+        ranges, rows, fixes = self._all
+        (track,) = log.odometry.values()
+        told = told_of(log)
+        ends = ([log.names[k] for k in end[told].tolist()] for end in (log.a, log.b))
+        for row in sorted(zip(log.t[told].tolist(), log.z[told].tolist(), *ends, strict=True)):
+            ranges.update(repr(row).encode())
+        rows.update(np.column_stack([track.t, track.pose]).tobytes())
+        for found in log.fixes.values():
+            fixes.update(np.ascontiguousarray(fix_columns(found).T).tobytes())
+
     @property
     def parts(self) -> tuple[str, ...]:
         return tuple(digest.hexdigest() for digest in self._all)
@@ -338,14 +394,54 @@ class LogDigest:
 
 @dataclass(frozen=True, slots=True)
 class _Behind:
-    """What was told last: t [s] and `T_odom_robot`, t [s] and heading by a gyroscope, t [s] of a fix; lit: whether
-    scans have light, None of none yet.
+    """What was told last: t [s] and `T_odom_robot`, t [s] and heading by a gyroscope, t [s] of a fix and of a range;
+    lit: whether scans have light, None of none yet.
     """
 
     row: tuple[float, Float[np.ndarray, "3"]] | None = None
     turned: tuple[float, float] | None = None
     fixed: float = -math.inf
     lit: bool | None = None
+    ranged: float = -math.inf
+
+    def after_ranges(self, part: RangeLog) -> "_Behind":
+        """The same after a part of what a robot tells that ranges."""
+        (track,), fixes, t = part.odometry.values(), [f for f in part.fixes.values() if len(f)], part.t[told_of(part)]
+        return replace(
+            self,
+            row=(float(track.t[-1]), track.pose[-1]),
+            fixed=float(fixes[0].t[-1]) if fixes else self.fixed,
+            ranged=float(t[-1]) if len(t) else self.ranged,
+        )
+
+    def ranges(self, log: RangeLog, header: Header, until: float) -> RangeLog | None:
+        """What the log holds after what was told up to `until` [s], by the header's names; None without odometry."""
+        ((name, track),) = log.odometry.items()
+        rows = (track.t > (-math.inf if self.row is None else self.row[0])) & (track.t <= until)
+        place = {known: k for k, known in enumerate(header.names)}
+        index = np.array([place.get(one, -1) for one in log.names], np.int64)
+        told = (log.t > self.ranged) & (log.t <= until) & (index[log.a] >= 0) & (index[log.b] >= 0)
+        fixes = self._fixes(log.fixes.get(name), header, until)
+        if name != header.log_robot or not rows.any():
+            return None
+        return replace(
+            log,
+            names=tuple(header.names),
+            odometry={name: Track(track.t[rows], track.pose[rows], frame=track.frame)},
+            a=index[log.a[told]],
+            b=index[log.b[told]],
+            t=log.t[told],
+            z=log.z[told],
+            fixes={} if fixes is None else {name: fixes},
+        )
+
+    def _fixes(self, fixes: Fixes | None, header: Header, until: float) -> Fixes | None:
+        """Those that are new up to `until` [s], if they are of what was announced."""
+        announced = header.fixes
+        if fixes is None or announced is None:
+            return None
+        same = source_of(replace(fixes, dropped=announced.dropped)) == announced
+        return fixes.select((fixes.t > self.fixed) & (fixes.t <= until)) if same else None
 
     def after(self, part: LaserLog) -> "_Behind":
         """The same after a part of the log."""
@@ -353,11 +449,12 @@ class _Behind:
         turned = [
             (t, s.heading) for t, s in zip(part.scan_t.tolist(), part.scans, strict=True) if s.heading is not None
         ]
-        return _Behind(
-            self.row if o is None else (float(o.t[-1]), o.pose[-1]),
-            turned[-1] if turned else self.turned,
-            self.fixed if f is None or not len(f) else float(f.t[-1]),
-            part.has_intensity if part.scans else self.lit,
+        return replace(
+            self,
+            row=self.row if o is None else (float(o.t[-1]), o.pose[-1]),
+            turned=turned[-1] if turned else self.turned,
+            fixed=self.fixed if f is None or not len(f) else float(f.t[-1]),
+            lit=part.has_intensity if part.scans else self.lit,
         )
 
     def going_on(self, log: LaserLog, header: Header, last: float, until: float) -> LaserLog | None:
@@ -378,10 +475,7 @@ class _Behind:
             scans = [s if s.odometry is None else replace(s, odometry=frozen(_moved(T, s.odometry))) for s in scans]
         if turn:
             scans = [s if s.heading is None else replace(s, heading=s.heading + turn) for s in scans]
-        fixes, announced = log.fixes, header.fixes
-        if fixes is not None:
-            same = announced is not None and source_of(replace(fixes, dropped=announced.dropped)) == announced
-            fixes = fixes.select((fixes.t > self.fixed) & (fixes.t <= until)) if same else None
+        fixes = self._fixes(log.fixes, header, until)
         return replace(log, scan_t=log.scan_t[keep], scans=tuple(scans), odometry=odometry, fixes=fixes)
 
     def _seen(self, scan: Scan, header: Header) -> Scan:
