@@ -13,7 +13,7 @@ import pytest
 import mapweave
 from mapweave.api.live import _final
 from mapweave.api.map_options import MapOptions
-from mapweave.core.errors import DataError, ReaderError, UsageError
+from mapweave.core.errors import ReaderError, UsageError
 from mapweave.io.laser_logs import LaserSource, read_laser
 from mapweave.io.mcap import write_mcap
 from mapweave.io.range_bags import read_range_bag
@@ -348,6 +348,19 @@ def test_a_robot_driven_by_a_recording_of_ranges_says_so_of_its_history(tmp_path
         drive()
 
 
+def test_a_robot_that_is_in_no_recording_yet_is_waited_for_and_an_error_once_that_is_closed(tmp_path, radios):
+    path, said = tmp_path / "a.mcap", []
+    path.write_bytes(radios[:-20])
+    feed = feed_of(path, said, name="r7")
+    assert taken(feed, lambda _: said) == []
+    assert "waits: --robot: which robot is r7?" in said[0]
+    feed._due = 0.0
+    path.write_bytes(radios)
+    taken(feed, lambda _: feed.ended.is_set())
+    with pytest.raises(UsageError, match=r"which robot is r7.* holds 1, 2"):
+        feed.close()
+
+
 def test_a_header_amid_ranges_is_that_of_its_log_and_of_its_names():
     words = {"robot": "r1", "run": "a", "sensor": "ranges", "source": "", "odometry": True}
     record = RangeRecord(Header(**words, log_robot="a1", names=["a1", "b"]))
@@ -360,5 +373,5 @@ def test_a_header_amid_ranges_is_that_of_its_log_and_of_its_names():
 
 def test_radios_are_of_recordings_of_ranges_alone(recording, tmp_path):
     (tmp_path / "a.mcap").write_bytes(recording[1])
-    with pytest.raises(DataError, match="--radios: only for recordings of ranges, found"):
+    with pytest.raises(UsageError, match="--radios: only for recordings of ranges, found"):
         open_recording(tmp_path / "a.mcap", "r1", None, None, {"n_1": "robot1"})

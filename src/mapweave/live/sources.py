@@ -111,7 +111,7 @@ def open_recording(
     if is_range_bag(path, growing=True):
         return _ranging(read_range_bag(path, radios, fixes), key, name, asked=robot is not None)
     if radios:
-        raise DataError(f"--radios: only for recordings of ranges, found {path}")
+        raise UsageError(f"--radios: only for recordings of ranges, found {path}")
     return _laser(path, LaserSource(fixes=fixes), key, name, asked=robot is not None)
 
 
@@ -261,7 +261,8 @@ class BagFeed(ScanFeed):
     def close(self) -> list[Numbered]:
         """What is left, although later odometry may be missing, what is known now alone, and that the drive has ended.
 
-        Raises ReaderError or DataError for a recording that was closed and cannot be read.
+        Raises ReaderError, DataError or UsageError for a recording that was closed and cannot be read, or lacks the
+        robot.
         """
         log = self._logged(closed=_closed(self._path))
         if log is None:
@@ -296,7 +297,7 @@ class BagFeed(ScanFeed):
             return None
         try:
             log = self._read(self._path)
-        except (ReaderError, DataError) as error:
+        except (ReaderError, DataError, UsageError) as error:  # a robot, a radio or a topic may come later
             if closed:
                 raise
             self._once(f"waits: {error}")
