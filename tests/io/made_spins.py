@@ -76,6 +76,7 @@ def spin_bag(
             pose.append(se2.compose(pose[-1], u))
         for t, (x, y, yaw) in zip(truth.t, pose, strict=True):
             out.odom(t, x, y=y, yaw=yaw)
+    out.rows.sort(key=lambda row: row[0])
     return out.write()
 
 

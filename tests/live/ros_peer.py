@@ -10,12 +10,15 @@ import struct
 import threading
 import time
 
+import numpy as np
 import zenoh
 import zenoh.ext
 
 HASHES = {  # as ROS 2 prints them for these definitions
     "sensor_msgs/msg/LaserScan": "RIHS01_64c191398013af96509d518dac71d5164f9382553fce5c1f8cca5be7924bd828",
     "nav_msgs/msg/Odometry": "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0",
+    "sensor_msgs/msg/NavSatFix": "RIHS01_62223ab3fe210a15976021da7afddc9e200dc9ec75231c1b6a557fc598a65404",
+    "sensor_msgs/msg/Imu": "RIHS01_7d9a00ff131080897a5ec7e26e315954b8eae3353c3f995c55faf71574000b5b",
     "tf2_msgs/msg/TFMessage": "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087",
     "nav_msgs/msg/OccupancyGrid": "RIHS01_8d348150c12913a31ee0ec170fbf25089e4745d17035792a1ba94d6f0bc0cfc7",
     "geometry_msgs/msg/PoseStamped": "RIHS01_10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8",
@@ -93,6 +96,26 @@ def odometry(t, frame, child, pose):
     out = Writer().head(t, frame).text(child)
     out.put("d", x, y, 0.0, *turned(theta)).put("d", *[0.0] * 36)
     return out.put("d", *[0.0] * 6).put("d", *[0.0] * 36).bytes()
+
+
+def fix(t, frame, place, sd=1.0, status=0):
+    """place: latitude, longitude [deg], height [m]; sd: [m] of each, None where it is not known."""
+    out = Writer().head(t, frame).put("b", status).put("H", 1).put("d", *place)
+    out.put("d", *[0.0 if k % 4 else (sd or 0.0) ** 2 for k in range(9)])
+    return out.put("B", 0 if sd is None else 2).bytes()
+
+
+def pose_told(t, frame, place, var):
+    """A PoseWithCovarianceStamped at `place`, with the variances xx, xy, yy [m^2]."""
+    cov = dict(zip((0, 1, 6, 7), (var[0], var[1], var[1], var[2]), strict=True))
+    out = Writer().head(t, frame).put("d", *place, *turned(0.0))
+    return out.put("d", *(cov.get(k, 0.0) for k in range(36))).bytes()
+
+
+def imu(t, frame, rate, felt=(0.0, 0.0, 9.81)):
+    """rate: [rad/s] over the unit's axes; felt: [m/s^2]."""
+    out = Writer().head(t, frame).put("d", *turned(0.0), *[0.0] * 9)
+    return out.put("d", *rate, *[0.0] * 9).put("d", *felt, *[0.0] * 9).bytes()
 
 
 def transforms(*edges):
@@ -260,7 +283,7 @@ class BridgedNode(Node):
 
 
 class RosDrive:
-    """A robot that plays a simulated log in its namespace: scans, transforms, and odometry as a topic or as tf."""
+    """A robot that plays a simulated log in its namespace: scans, transforms, odometry as a topic or as tf, fixes."""
 
     def __init__(self, session, space, log, mount, *, by_tf=False, domain=0, type_hash=None, node=Node):
         self.node = node(session, "driver", f"/{space}", domain)
@@ -271,18 +294,23 @@ class RosDrive:
             self.node.publisher("/tf", "tf2_msgs/msg/TFMessage", type_hash=type_hash)
         else:
             self.node.publisher(f"/{space}/odom", "nav_msgs/msg/Odometry", type_hash=type_hash)
-        still = (1.0, f"{space}/base_link", f"{space}/laser", mount)
-        self.node.say("/tf_static", transforms(still))
+        still = [(1.0, f"{space}/base_link", f"{space}/laser", mount)]
+        if log.fixes is not None:
+            self.node.publisher(f"/{space}/fix", "sensor_msgs/msg/NavSatFix", SENSOR, type_hash)
+            still.append((1.0, f"{space}/base_link", f"{space}/gps", (*log.fixes.antenna, 0.0)))
+        self.node.say("/tf_static", transforms(*still))
 
     def wait_for_a_listener(self):
         """Declarations take their time through a router; what is said before they came is heard by nobody."""
         wheels = "/tf" if self.by_tf else f"/{self.space}/odom"
-        wait_for(lambda: self.node.is_heard(f"/{self.space}/scan", wheels))
+        receiver = [] if self.log.fixes is None else [f"/{self.space}/fix"]
+        wait_for(lambda: self.node.is_heard(f"/{self.space}/scan", wheels, *receiver))
 
     def play(self, rate, stop=None):
         self.wait_for_a_listener()
         rows = [(t, "odometry", k) for k, t in enumerate(self.log.odometry.t.tolist())]
         rows += [(t, "scan", k) for k, t in enumerate(self.log.scan_t.tolist())]
+        rows += [] if self.log.fixes is None else [(t, "fix", k) for k, t in enumerate(self.log.fixes.t.tolist())]
         rows.sort()
         begin, first = time.monotonic(), rows[0][0]
         for t, what, k in rows:
@@ -295,6 +323,10 @@ class RosDrive:
         name = f"/{self.space}"
         if what == "scan":
             self.node.say(f"{name}/scan", self.scan(k))
+        elif what == "fix":
+            f = self.log.fixes
+            sd = float(np.sqrt(f.cov[k, 0, 0]))
+            self.node.say(f"{name}/fix", fix(t, f"{self.space}/gps", f.place[k].tolist(), sd))
         elif self.by_tf:
             edge = (t, f"{self.space}/odom", f"{self.space}/base_link", self.log.odometry.pose[k])
             self.node.say("/tf", transforms(edge))

@@ -1,7 +1,9 @@
 """A team of ranging radios that drives: at the end the map of its recording, on the way where ranges place it."""
 
 import json
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ import mapweave
 from mapweave.api.live import _final
 from mapweave.api.map_options import MapOptions
 from mapweave.core import se2
-from mapweave.core.errors import UsageError
+from mapweave.core.errors import ReaderError, UsageError
 from mapweave.io.range_bags import read_range_bag
 from mapweave.live.door import decode
 from mapweave.live.messages import Closed, Header, Radios, RefusedError, encode, pack
@@ -34,6 +36,7 @@ from .teams import heard, heard_late_and_twice, payloads
 from .teams import team as landmark_team
 
 NAMES = ("r1", "r2", "r3")
+DATA = Path(os.environ.get("MAPWEAVE_DATA", "/nowhere"), "uwb")
 
 
 @pytest.fixture(scope="module")
@@ -66,6 +69,9 @@ def test_what_robots_tell_is_the_log_they_are_of_whatever_was_wrong_with_it(driv
     a = np.where(np.arange(len(z)) % 5 == 0, log.b, log.a)  # some were measured by the other end
     b = np.where(np.arange(len(z)) % 5 == 0, log.a, log.b)
     b[21:24] = a[21:24]
+    beacons = [log.names.index(name) for name in ("beacon1", "beacon2")]
+    a[30:60], b[30:60] = beacons  # beacons that measure each other
+    a[40:50], b[40:50] = beacons[::-1]
     log = replace(log, a=a, b=b, z=z, antennas={"robot2": np.array([0.1, -0.2])}, dropped={"unreadable": 3})
     again = []
     for name in log.odometry:
@@ -80,6 +86,8 @@ def test_what_robots_tell_is_the_log_they_are_of_whatever_was_wrong_with_it(driv
     assert one.dropped["range that is no positive number"] == 9
     for column in ("a", "b", "t", "z", "lever_a", "lever_b", "rate_a", "rate_b"):
         np.testing.assert_array_equal(getattr(one.ranges, column), getattr(other.ranges, column))
+    apart = one.is_beacon[one.ranges.a] & one.is_beacon[one.ranges.b]
+    assert apart.sum() == 30
     np.testing.assert_array_equal(one.motions.z, other.motions.z)
     assert (whole.source, whole.log_hash, whole.findings, whole.unused) == (
         log.source,
@@ -169,11 +177,14 @@ def header(**other):
         ({"track": pack([2.0, 1.0], [0, 0], [0, 0], [0, 0])}, "odometry that steps back"),
         ({"track": pack([1.0, 2.0], [0, 5e5], [0, 0], [0, 0])}, "odometry that steps 5e\\+05 m"),
         ({"told": pack([2.0, 1.0], [1, 1]), "whom": [1, 1]}, "ranges that step back"),
-        ({"told": pack([1.0], [1]), "whom": [2]}, "an index of 2"),
+        ({"told": pack([1.0], [1]), "whom": [3]}, "an index of 3"),
+        ({"told": pack([1.0], [1]), "whom": [1], "by": [3]}, "an index of 3"),
+        ({"told": pack([1.0], [1]), "whom": [0], "by": [2]}, "ranges that other robots tell"),
+        ({"told": pack([1.0], [1]), "whom": [2], "by": [1]}, "ranges that other robots tell"),
     ],
 )
 def test_rows_that_cannot_be_a_ranging_robots_are_refused(rows, reason):
-    record = RangeRecord(header())
+    record = RangeRecord(header(names=["a1", "b", "a2"], others=["a2"]))
     record.add(Radios(robot="r1", run="a", seq=1, track=pack([0.5], [0], [0], [0])))
     with pytest.raises(RefusedError, match=reason):
         record.add(Radios(robot="r1", run="a", seq=2, **rows))
@@ -186,7 +197,8 @@ def test_rows_that_cannot_be_a_ranging_robots_are_refused(rows, reason):
         ({"told": pack([1.0], [1e39]), "whom": [1]}, "a range of"),
         ({"told": pack([1.0], [1.0]), "whom": [1, 0]}, "an index a range"),
         ({"told": pack([1.0], [1.0]), "whom": [-1]}, "an index from 0"),
-        ({"told": pack([1.0], [1.0]), "whom": [1], "theirs": [1]}, "rows that there are"),
+        ({"told": pack([1.0], [1.0]), "whom": [1], "by": [1, 0]}, "who measured each range"),
+        ({"told": pack([1.0], [1.0]), "whom": [1], "by": [-1]}, "an index from 0"),
         ({"track": pack([1.0], [1e10], [0], [0])}, "odometry of"),
     ],
 )
@@ -220,6 +232,42 @@ def test_which_robot_of_a_recording_it_is_is_told_by_name_or_number(drive, tmp_p
         open_source(source, "eve", None)
     with pytest.raises(UsageError, match="which robot is eve9"):
         open_source(source, "eve9", None)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not DATA.is_dir(), reason="needs MAPWEAVE_DATA")
+def test_a_real_team_whose_radios_are_told_by_hand_gives_the_map_of_its_recording(tmp_path):
+    path, captured = DATA / "four-turtlebots.db3", "/vrpn_client_node/turtlebot3_cap/pose"
+    radios = {"n_7": "turtle01", "n_3": "turtle03", "n_4": "turtle04", "n_5": "turtle05"}
+    mapweave.map(path, tmp_path / "direct", radios=radios, laser=mapweave.LaserOptions(fixes=captured))
+    of = {name: open_source(str(path), name, None, radios=radios, fixes=captured) for name in (*NAMES, "r4", "r5")}
+    assert [name for name, log in of.items() if log.fixes] == ["r3"]
+    beacons = {"n_1", "n_2", "n_6", "n_8"}
+    apart = {
+        name: sum({log.names[i], log.names[j]} <= beacons for i, j in zip(log.a, log.b, strict=True))
+        for name, log in of.items()
+    }
+    assert apart == {"r1": 878} | dict.fromkeys(("r2", "r3", "r4", "r5"), 0)
+    with Store(tmp_path / "s.sqlite", "a map") as store:
+        inbox = heard(store, {name: [encode(m) for _, m in messages(log, name, "a", 1.0)] for name, log in of.items()})
+        _final(inbox, MapOptions(), print).write(tmp_path / "out")
+    same_result(tmp_path / "direct", tmp_path / "out")
+
+
+def test_options_of_recordings_are_refused_where_there_is_none_and_names_where_there_are_others(drive, tmp_path):
+    log = drive[0] / "log"
+    network = mapweave.Network(listen=("tcp/127.0.0.1:0",))
+    for source, options, error in (
+        (log, {"radios": {"n_9": "robot1"}}, "--radios: .* knows no n_9, only beacon1, beacon2, robot1"),
+        (log, {"radios": {"robot1": "turtle"}}, "--radios: .* knows no turtle, only robot1, robot2, robot3"),
+        ("sim:office", {"radios": {"n_9": "robot1"}}, "--radios: only for recordings of ranges, found sim:office"),
+        ("ros2", {"radios": {"n_9": "robot1"}}, "--radios: only for recordings of ranges"),
+        ("sim:office", {"fixes": "/gps"}, "--fixes: only for recordings, found sim:office"),
+    ):
+        with pytest.raises(UsageError, match=error):
+            mapweave.live_robot("r1", source, history=tmp_path / "r1.sqlite", network=network, **options)
+    with pytest.raises(ReaderError, match="--fixes: no topic '/gps' that tells positions; there are none"):
+        open_source(str(log), "r1", None, fixes="/gps")
 
 
 @pytest.mark.drawn

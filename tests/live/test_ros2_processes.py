@@ -2,17 +2,22 @@
 
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+import mapweave
 from mapweave.api.live import live_robot, live_robots
 from mapweave.api.live_ros2 import RosOptions
+from mapweave.api.map_laser import map_logs
+from mapweave.api.map_options import MapOptions
 from mapweave.core import se2
 from mapweave.core.errors import UsageError
+from mapweave.core.laser_log import LaserLog
 from mapweave.live.door import decode
 from mapweave.live.driven import LaserRobot
-from mapweave.live.laser_stream import LaserRecord, whole_log
+from mapweave.live.laser_stream import scans_told
 from mapweave.live.messages import Closed, GoalMessage, Topics, encode
 from mapweave.live.store import Store
 from mapweave.live.transport import Network, put, told_on
@@ -21,12 +26,16 @@ from mapweave.mapping.config import LaserConfig
 from mapweave.sim.laser import DriveConfig
 from mapweave.sim.laser_worlds import CorridorConfig, simulate_corridor
 
+from ..io.made_spins import scans_of, truth_of
 from .processes import Fleet, free_endpoint
 from .ros_peer import (
     HASHES,
+    SENSOR,
     BridgedNode,
     Node,
     RosDrive,
+    fix,
+    imu,
     open_session,
     read_goal,
     read_grid,
@@ -79,9 +88,7 @@ def record(path, name):
     """What a robot's history holds, as one log, and its last message."""
     with Store(path, f"robot {name} of team team") as store:
         kept = [decode(payload) for _, payload in store.get(name, 0, 1 << 30)]
-    made = LaserRecord(kept[0])
-    parts = [made.add(message) for message in kept[1:]]
-    return whole_log(kept[0], [part for part in parts if part is not None]), kept[-1]
+    return scans_told(kept), kept[-1]
 
 
 def same_scans(log, simulated):
@@ -117,6 +124,74 @@ def test_one_process_drives_several_robots_each_with_a_history_of_its_own(fleet,
         same_scans(log, d.log)
         assert isinstance(end, Closed)
         assert f"{name}: {end.seq + 1} messages" in fleet.said("r1,r2")
+
+
+@pytest.mark.slow
+def test_a_robot_with_a_receiver_tells_its_fixes_and_its_map_lies_where_that_of_its_drive_does(fleet, ros):
+    world = CorridorConfig(distance=8.0, drive=DriveConfig(sensor_pose=MOUNT))
+    simulated = mapweave.simulate_laser(world=world, fixes=0.1, seed=1).log
+    driven = replace(simulated, fixes=replace(simulated.fixes, antenna=np.array([-0.3, 0.1])))
+    one = RosDrive(ros[1], "tb1", driven, MOUNT)
+    joins(fleet, "r1")
+    fleet.hears("r1", "hears /tb1/scan, odometry from /tb1/odom, position fixes from /tb1/fix")
+    one.play(8.0)
+    one.node.say("/tb1/fix", fix(2000.0, "tb1/gps", (35.0, 200.0, 0.0)))
+    one.node.say("/tb1/scan", b"")
+    fleet.hears("r1", "refused: malformed")
+    fleet.interrupt("r1")
+    assert fleet.wait("r1") == 0, fleet.said("r1")
+    log, end = record(fleet.folder / "mapweave-live/team-r1.sqlite", "r1")
+    assert isinstance(end, Closed)
+    same_scans(log, driven)
+    np.testing.assert_allclose(log.odometry.t, driven.odometry.t, atol=1e-9)
+    for column in ("t", "place", "cov"):
+        np.testing.assert_allclose(getattr(log.fixes, column), getattr(driven.fixes, column), rtol=1e-12)
+    np.testing.assert_allclose(log.fixes.antenna, [-0.3, 0.1], atol=1e-9)
+    assert log.fixes.dropped == {"fix whose latitude or longitude cannot be": 1}
+    ours, theirs = (map_logs([each], MapOptions()).components[0].georeference for each in (log, driven))
+    (ours,), (theirs,) = (each.tracks.values() for each in (ours, theirs))
+    np.testing.assert_array_equal(ours.t, theirs.t)
+    np.testing.assert_allclose(ours.pose, theirs.pose, atol=2e-3)
+
+
+@pytest.mark.slow
+def test_a_robot_without_wheels_tells_headings_by_its_gyroscope(fleet, ros):
+    truth, rate = truth_of(20.0, 1.0)
+    t, scans = scans_of(truth)
+    log = LaserLog("robot1", "spin", t, tuple(scans), replace(truth, pose=0.0 * truth.pose))
+    one = Spinning(ros[1], "tb1", log, MOUNT, by_tf=True)
+    one.rate = rate
+    joins(fleet, "r1")
+    fleet.hears("r1", "hears /tb1/scan, odometry from tf, if that tells any, turns of /tb1/imu without it")
+    wait_for(lambda: one.node.is_heard("/tb1/imu"))
+    one.play(4.0)
+    one.node.say("/tb1/scan", b"")
+    fleet.hears("r1", "refused: malformed")
+    fleet.interrupt("r1")
+    assert fleet.wait("r1") == 0, fleet.said("r1")
+    heard, end = record(fleet.folder / "mapweave-live/team-r1.sqlite", "r1")
+    assert isinstance(end, Closed)
+    assert heard.odometry_from == "none"
+    assert "imu-turns" in {found.code for found in heard.findings}
+    heading = np.array([np.nan if scan.heading is None else scan.heading for scan in heard.scans])
+    true = np.diff(np.unwrap(se2.interpolate(heard.scan_t, truth.t, truth.pose)[:, 2]))
+    known = np.isfinite(np.diff(heading))
+    assert known.sum() > 0.7 * len(true)
+    assert np.abs(np.diff(heading) - true)[known].max() < 0.02
+
+
+class Spinning(RosDrive):
+    """A robot whose IMU tells its turns in place of odometry."""
+
+    def __init__(self, session, space, log, mount, *, by_tf):
+        super().__init__(session, space, log, mount, by_tf=by_tf)
+        self.node.publisher(f"/{space}/imu", "sensor_msgs/msg/Imu", SENSOR)
+
+    def tell(self, t, what, k):
+        if what == "odometry":
+            self.node.say(f"/{self.space}/imu", imu(t, f"{self.space}/imu", (0.0, 0.0, self.rate[k])))
+        else:
+            super().tell(t, what, k)
 
 
 @pytest.mark.slow

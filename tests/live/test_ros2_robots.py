@@ -8,17 +8,22 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
+from mapweave.io.fixes import NAVSAT
+from mapweave.io.inertial import IMU
 from mapweave.laser.laser_map import GridMap
 from mapweave.live.door import decode
+from mapweave.live.fix_stream import UNTOLD
+from mapweave.live.laser_feed import ToldUntil
 from mapweave.live.laser_stream import LaserRecord, beams_of, messages_of_laser, scan_of, whole_log
 from mapweave.live.messages import RefusedError, Scans, encode
 from mapweave.live.ros2 import assembly, wire
-from mapweave.live.ros2.assembly import GAP, LEAP, PATIENCE, Assembly
-from mapweave.live.ros2.feed import Graph, chosen
+from mapweave.live.ros2.assembly import GAP, LEAP, PATIENCE, Assembly, Gyroscope
+from mapweave.live.ros2.feed import Graph, chosen, chosen_fixes
 from mapweave.live.ros2.shown import grid_of, pose_of
 from mapweave.live.ros2.wire import NO_HASH, Entity, Topic
 from mapweave.sim.laser_worlds import OfficeConfig, simulate_office
 
+from ..io.made_spins import scans_of, truth_of
 from . import ros_peer
 
 
@@ -118,8 +123,13 @@ def test_a_pattern_a_name_or_being_alone_says_which_robot():
 def fed(made, *messages):
     for kind, payload in messages:
         message = wire.decode(payload, kind)
-        {wire.SCAN: made.scan, wire.ODOMETRY: made.odometry, wire.TF: made.transforms}[kind](message)
+        takes = {wire.SCAN: made.scan, wire.ODOMETRY: made.odometry, wire.TF: made.transforms, NAVSAT: made.fix}
+        takes[kind](message)
     return made
+
+
+def fix(t, place=(35.7, 139.75, 40.0), sd=1.0, status=0):
+    return NAVSAT, ros_peer.fix(t, "gps", place, sd, status)
 
 
 def scan(t, frame="laser", ranges=RANGES, angle_min=-0.5, step=0.2, range_max=10.0, light=()):
@@ -210,7 +220,7 @@ def test_scans_of_another_scanner_are_refused_and_told_and_not_read_with_the_tim
 def test_a_robot_begun_again_with_another_scanner_does_not_go_on_with_its_history(told):
     made, same = Assembly(), Assembly()
     for one in made, same:
-        one.resume(10.0, 10.0, light=False, sweep=told)
+        one.resume(ToldUntil(10.0, 10.0, light=False), sweep=told)
     assert heard(made, [0.2, 0.2], begin=11.0) == 0
     assert heard(same, [told, told], begin=11.0) == 2
 
@@ -394,12 +404,136 @@ def test_rows_that_no_scan_waits_for_are_let_go():
 
 def test_a_resumed_drive_uses_only_what_is_later():
     made = Assembly()
-    made.resume(10.0, 10.0, light=False)
-    fed(made, mounted(), odometry(9.9), scan(9.9), odometry(10.1), odometry(10.3, (0.2, 0.0, 0.0)), scan(10.2))
+    made.resume(ToldUntil(10.0, 10.0, 10.0, light=False))
+    fed(
+        made,
+        fix(9.9),
+        fix(10.1),
+        mounted(),
+        odometry(9.9),
+        scan(9.9),
+        odometry(10.1),
+        odometry(10.3, (0.2, 0.0, 0.0)),
+        scan(10.2),
+    )
     ((t, placed),), _ = made.ready()
     assert t == 10.2
     np.testing.assert_allclose(placed.odometry, [0.1, 0.0, 0.0], atol=1e-9)
+    assert [row[0] for row in made.fixes()] == [10.1]
+    assert made.refused == {"clock": 3}
+
+
+def test_fixes_are_told_as_the_reader_of_recordings_has_them_and_those_that_tell_nothing_are_counted():
+    made = Assembly()
+    fed(
+        made,
+        fix(10.0, sd=1.5),
+        fix(10.5, status=-1),
+        fix(11.0, (math.nan, 139.75, 40.0)),
+        fix(11.5, (0.0, 0.0, 40.0)),
+        fix(12.0, (35.7, 139.75, math.nan), sd=None),
+        fix(12.0),
+        fix(9.0),  # steps back
+        fix(500.0),  # leaps ahead
+        fix(13.0, (36.0, 139.75, 40.0)),  # tens of kilometres off: told, as `map` reads it, and left out of the map
+        (wire.TF, ros_peer.transforms((1.0, "base", "gps", (-0.3, 0.1, 0.0)))),
+    )
+    assert made.fixes() == [
+        (10.0, 35.7, 139.75, 40.0, 2.25, 0.0, 2.25),
+        (12.0, 35.7, 139.75, 0.0, UNTOLD, UNTOLD, UNTOLD),
+        (13.0, 36.0, 139.75, 40.0, 1.0, 0.0, 1.0),
+    ]
+    assert made.fixes() == []
+    assert made.fixes_left == {
+        "fix without satellites": 1,
+        "fix that is no number": 1,
+        "fix at latitude 0, longitude 0": 1,
+        "fix whose stamp comes again": 1,
+    }
     assert made.refused == {"clock": 2}
+    assert made.antenna == (0.0, 0.0)
+    fed(made, odometry(10.0))
+    assert made.antenna == pytest.approx((-0.3, 0.1))
+
+
+def test_poses_by_others_are_fixes_with_their_covariance():
+    made = Assembly()
+    told = ros_peer.pose_told(10.0, "mocap", (5.0, 2.0, 0.5), (0.04, 0.01, 0.09))
+    made.fix(wire.decode(told, wire.POSE))
+    assert made.fixes() == [(10.0, 5.0, 2.0, 0.5, 0.04, 0.01, 0.09)]
+    assert made.fix_frame == "mocap"
+
+
+def test_a_receiver_is_its_robots_and_poses_by_others_are_heard_where_they_are_named():
+    made = graph(
+        *((f"/tb{k}/{name}", kind) for k in (1, 2) for name, kind in (("scan", wire.SCAN), ("odom", wire.ODOMETRY))),
+        ("/tb1/gps/fix", NAVSAT),
+        ("/tb1/fix", NAVSAT),
+        ("/tb1/mocap", wire.POSE),
+        ("/vrpn/tb2", wire.GOAL),
+    )
+    one, two = made.robots()
+    assert [t.name for t in one.fixes] == ["/tb1/fix", "/tb1/gps/fix", "/tb1/mocap"]
+    assert two.fixes == ()
+    assert chosen_fixes(made, one, None).name == "/tb1/fix"
+    assert chosen_fixes(made, one, "none") is None
+    assert chosen_fixes(made, one, "tb1/mocap").name == "/tb1/mocap"
+    assert chosen_fixes(made, two, None) is chosen_fixes(made, two, "/vrpn/tb2") is None
+    with pytest.raises(RefusedError, match="--fixes: no topic 'tb1/scan' that tells positions; there are /tb1/fix "):
+        chosen_fixes(made, one, "/tb1/scan")
+    (only,) = graph(("/scan", wire.SCAN), ("/vrpn/me/pose", wire.GOAL)).robots()
+    assert [t.name for t in only.fixes] == ["/vrpn/me/pose"]
+
+
+def headings(scale=1.0, bias=0.0, seconds=40.0, gap=(0.0, 0.0)):
+    """What a gyroscope tells of a robot that spins, stamps and headings; and how it truly turns from scan to scan."""
+    truth, rate = truth_of(seconds, 1.0)
+    rate = np.where(truth.t < truth.t[0] + 3.0, 0.0, rate)  # it stands first
+    stands = (truth.t < truth.t[0] + 3.0)[:, None]
+    truth = replace(truth, pose=np.where(stands, truth.pose[300], truth.pose))
+    t, scans = scans_of(truth)
+    made, out, told = Gyroscope("/imu"), [], iter(zip(truth.t.tolist(), rate.tolist(), strict=True))
+    row = next(told)
+    for at, scan in zip(t.tolist(), scans, strict=True):
+        while row is not None and row[0] <= at + 0.05:
+            if not gap[0] < row[0] - truth.t[0] < gap[1]:
+                made.add(wire.decode(ros_peer.imu(row[0], "imu", (0.0, 0.0, scale * (row[1] + bias))), IMU))
+            row = next(told, None)
+        out += made.turned([(at, scan)], np.array([0.0, 0.0, 1.0]), all_of_them=False)
+    out += made.turned([], np.array([0.0, 0.0, 1.0]), all_of_them=True)
+    assert [at for at, _ in out] == t.tolist()
+    true = np.diff(np.unwrap(se2.interpolate(t, truth.t, truth.pose)[:, 2]))
+    return made, np.array([np.nan if s.heading is None else s.heading for _, s in out]), true
+
+
+@pytest.mark.parametrize(("scale", "bias"), [(1.0, 0.0), (1.0, 0.05), (-1.0, 0.0), (180.0 / math.pi, 0.02)])
+def test_a_robot_without_wheels_is_told_its_turns_once_scans_have_shown_what_they_are_counted_in(scale, bias):
+    made, heading, true = headings(scale, bias)
+    known = np.isfinite(heading)
+    assert not known[:20].any()  # it stands: nothing shows the unit
+    assert known[150:].all()
+    off = (np.diff(heading) - true)[known[1:] & known[:-1]]
+    assert np.abs(off).max() < 0.02
+    assert "imu-turns" in {found.code for found in made.findings}
+    assert len(made._rows) < 6000
+
+
+def test_a_turn_whose_stamp_cannot_be_is_refused():
+    made = Gyroscope("/imu")
+    turn = lambda t: made.add(wire.decode(ros_peer.imu(t, "imu", (0.0, 0.0, 0.1)), IMU))
+    turn(10.0)
+    for wrong in (0.0, 9.0, 500.0):
+        with pytest.raises(RefusedError, match="a turn"):
+            turn(wrong)
+    turn(10.01)
+
+
+def test_turns_that_scans_do_not_show_are_not_told_and_none_is_told_over_a_gap():
+    assert np.isnan(headings(scale=0.0, bias=0.4)[1]).all()
+    _, heading, true = headings(gap=(25.0, 28.0))
+    known = np.isfinite(heading)
+    assert np.abs((np.diff(heading) - true)[known[1:] & known[:-1]]).max() < 0.02
+    assert 20 < (~known[200:]).sum() < 60
 
 
 def test_mounts_compose_as_poses_do():

@@ -31,7 +31,7 @@ from ..live.landmark_stream import LandmarkRobot
 from ..live.map_process import MapProcess
 from ..live.messages import Header, Topics, check_name
 from ..live.range_stream import RangeRobot, of_team
-from ..live.robot import Listeners, Pace, RobotProcess
+from ..live.robot import Driving, Listeners, Pace, RobotProcess
 from ..live.sources import BagFeed, LiveLog, messages, open_recording, open_source
 from ..live.store import Store, begun
 from ..live.told import follow
@@ -112,6 +112,8 @@ def live_robot(
     source: Path | str,
     *,
     robot: str | None = None,
+    radios: Mapping[str, str] | None = None,
+    fixes: str | None = None,
     follow: bool = False,
     rate: float = 1.0,
     period: float = 1.0,
@@ -141,9 +143,15 @@ def live_robot(
         ros2: a robot that drives now, whose ROS 2 runs rmw_zenoh or has zenoh-bridge-ros2dds beside it, until `stop`.
     robot
         Which robot of the log it is, by key (the one whose number `name` ends with, or the only one).
+    radios
+        Radio -> the robot it is on, where their names do not say it (by name, else by number). Recordings of ranges
+        alone, the same for all robots of one.
+    fixes
+        Topics of a recording or of ros2 that tell where robots are, as for `map`: satellite fixes, or poses by others,
+        which then are input and no truth (satellite fixes alone); none: no fixes.
     follow
         The source is a recording that is still written (.mcap, .db3, .bag or a folder), or is not there yet: its scans
-        are told as they come, until it is closed or `stop`.
+        or ranges, and its fixes, are told as they come, until it is closed or `stop`.
     rate
         Seconds of the log in one second of the clock (1); inf is as fast as it goes.
     period
@@ -179,18 +187,14 @@ def live_robot(
         expect_heard(network.tls, name, network.team, "robot")
     path = Path("mapweave-live", f"{network.team}-{name}.sqlite") if history is None else Path(history)
     stop, ros2 = stop or Event(), str(source) == ROS2
-    if follow and (ros is not None or rate != 1.0):
-        raise UsageError("--follow: a recording that is still written has neither --rate nor options of ROS graphs")
-    if ros is not None and not ros2:
-        words = "--domain, --pattern, --graph, --sensor-pose, --all-scanners, --team-map, --goals"
-        raise UsageError(f"{words}: of --source {ROS2} alone")
-    log = None if ros2 or follow else open_source(str(source), name, robot, seed)
+    _check_origin(ros2=ros2, follow=follow, paced=rate != 1.0, graph=ros is not None, radios=bool(radios))
+    log = None if ros2 or follow else open_source(str(source), name, robot, seed, radios=radios, fixes=fixes)
     with Store(path, f"robot {name} of team {network.team}") as store, ExitStack() as opened:
         if fresh:
             store.clear()
-        run = begun(store, _sensor(log), period)
+        run = begun(store, (store.about("sensor") if follow else None) or _sensor(log), period)
         if ros2:
-            sent, ears = drive_ros2(name, options, store, run, period, linger, config, network, stop, say, wall)
+            sent, ears = drive_ros2(name, options, fixes, store, run, period, linger, config, network, stop, say, wall)
             return _ended(name, sent, ears, store)
         if log is not None:
             header = next(messages(log, name, run, period))[1]
@@ -202,9 +206,13 @@ def live_robot(
         told = f"follows {source}" if log is None else f"{_robot_of(log)} of {source}"
         say(f"{name}: {told}, team {network.team}, history in {path}")
         if log is None:
-            opener = partial(open_recording, name=name, robot=robot)
+            opener = partial(open_recording, name=name, robot=robot, fixes=fixes, radios=radios)
             feed = BagFeed(Path(source), opener, name, run, period, stop, say)
-            begin = partial(_driving, settings=config)
+
+            def begin(header: Header) -> Driving:
+                store.set_about("sensor", header.sensor)
+                return _driving(header, config)
+
             sent = process.follow(feed, begin, Pace(linger=linger), feed.ended, lambda _: None)
         else:
             expected = bool(network.connect or network.listen)
@@ -215,6 +223,17 @@ def live_robot(
 def _ended(name: str, sent: int, listeners: Listeners, store: Store) -> LiveRobot:
     heard_by = sum(have >= sent for have in listeners.have.values())
     return LiveRobot(name, sent, heard_by, store.path, store.sizes(name), dict(listeners.unused))
+
+
+def _check_origin(*, ros2: bool, follow: bool, paced: bool, graph: bool, radios: bool) -> None:
+    """Raises UsageError for options that a source of this kind has not."""
+    if follow and (graph or paced):
+        raise UsageError("--follow: a recording that is still written has neither --rate nor options of ROS graphs")
+    if graph and not ros2:
+        words = "--domain, --pattern, --graph, --sensor-pose, --all-scanners, --team-map, --goals"
+        raise UsageError(f"{words}: of --source {ROS2} alone")
+    if radios and ros2:
+        raise UsageError(f"--radios: only for recordings of ranges, found --source {ROS2}")
 
 
 def _check_pace(rate: float, period: float, linger: float) -> None:
@@ -464,6 +483,7 @@ def live_robots(
     names: Sequence[str],
     patterns: Sequence[str] | None = None,
     *,
+    fixes: str | None = None,
     period: float = 1.0,
     fresh: bool = False,
     linger: float = 30.0,
@@ -483,6 +503,8 @@ def live_robots(
         What the team calls them.
     patterns
         Of each robot's namespace (the robots of these names).
+    fixes
+        Topics that tell where they are, one in the namespace of each, as for `map` (satellite fixes alone).
     period
         Seconds of scans in one message (1).
     fresh
@@ -510,6 +532,7 @@ def live_robots(
         return live_robot(
             name,
             "ros2",
+            fixes=fixes,
             period=period,
             fresh=fresh,
             linger=linger,

@@ -58,6 +58,7 @@ class RosOptions:
 def drive_ros2(
     name: str,
     options: RosOptions,
+    fixes: str | None,
     store: Store,
     run: str,
     period: float,
@@ -70,7 +71,7 @@ def drive_ros2(
 ) -> tuple[int, Listeners]:
     """Drives `name` by what its ROS graph tells, until `stop`; how many messages there are, and who hears them.
 
-    options: checked against the network.
+    options: checked against the network; fixes: topics that tell where it is, as of `map`.
     """
     cfg = load(LaserMapConfig, config, {"laser": {"method": "graph"}}).laser
     cfg.check()
@@ -84,7 +85,7 @@ def drive_ros2(
         process = RobotProcess(name, team, topics, store, say, wall)
         process.join()
         o = options
-        asked = Chosen(name, run, period, o.domain, o.pattern, o.sensor_pose, o.all_scanners)
+        asked = Chosen(name, run, period, o.domain, o.pattern, o.sensor_pose, o.all_scanners, fixes)
         feed = RosFeed(graph, asked, say)
         told = LiveTeam()
         held = hear_team(team, topics, told, name) if o.team_map or o.goals else []

@@ -66,6 +66,12 @@ DIM = Option(kind=Literal[2, 3] | None)
 SAME_SEED = Option(help="The same seed gives the same result.")
 SAME_BYTES = Option(help="The same seed gives the same bytes.")
 TRUTH = Option(kind=list[Path] | None, parse=paths_of, help="Score the result against this; no estimator ever sees it.")
+RADIOS = Option(
+    kind=str | None,
+    parse="api.map_options:parse_radios",
+    help="Which robot each radio is on, as n_7=turtle01,n_3=turtle03, where names do not say it (recordings of "
+    "ranges).",
+)
 STARTS = Option(
     kind=Words,
     parse="api.map_options:parse_starts",

@@ -14,6 +14,7 @@ from .arguments import (
     LASER,
     LINK,
     OF_ONE_LOG,
+    RADIOS,
     ROS,
     SAME_BYTES,
     SAME_SEED,
@@ -192,9 +193,9 @@ def _live_robot(drive: Callable[..., Any], asked: Asked) -> list[Any]:
     name, pattern = asked["name"], asked["ros"].pattern
     if "," not in name or asked["source"] != ROS2:
         return [drive(**asked | {"ros": ros})]
-    if not (asked["robot"] is None and asked["history"] is None and asked["rate"] == 1.0):
-        raise UsageError("--robot, --history, --rate: of a single robot")
-    shared = ("period", "fresh", "linger", "config", "network", "stop", "say")
+    if not (asked["robot"] is None and asked["history"] is None and asked["rate"] == 1.0 and not asked["radios"]):
+        raise UsageError("--robot, --history, --rate, --radios: of a single robot")
+    shared = ("fixes", "period", "fresh", "linger", "config", "network", "stop", "say")
     names, patterns = names_of("--name")(name), names_of("--pattern")(pattern)
     return live_robots(names or [], patterns, ros=ros, **{key: asked[key] for key in shared})
 
@@ -259,12 +260,7 @@ COMMANDS: dict[str, Command | dict[str, Command]] = {
             ),
             "start": STARTS,
             "truth": TRUTH,
-            "radios": Option(
-                kind=str | None,
-                parse="api.map_options:parse_radios",
-                help="Which robot each radio is on, as n_7=turtle01,n_3=turtle03, where names do not say it "
-                "(recordings of ranges).",
-            ),
+            "radios": RADIOS,
             "seed": replace(SAME_SEED, help="The same seed gives the same result, to the byte."),
             "strict": Option(help="Exit with status 1 unless the verdict is good; the result is written all the same."),
             "laser": LASER,
@@ -428,6 +424,7 @@ COMMANDS: dict[str, Command | dict[str, Command]] = {
             options={
                 "name": Option(help="The name of the robot in the team; with ros2 also several, as r1,r2."),
                 "source": Option(kind=str),
+                "radios": RADIOS,
                 "ros": ROS,
                 "network": LINK,
             },

@@ -70,6 +70,7 @@ def read_points(path: Path) -> dict[str, tuple[float, float, float | None]]:
 
 NAVSAT, *POSES = FIXES
 NO_FIX, UNKNOWN = -1, 0  # of a NavSatFix: its status without satellites, its covariance that nobody knows
+SAME_STAMP = "fix whose stamp comes again"
 LARGEST = 1e9  # [m] and [m^2]: what is more was never measured
 WGS84_CODE = 4326  # EPSG's number of latitude and longitude on WGS 84
 # GeoTIFF 1.1, tags and keys: the transform from pixels, the directory of keys; a geographic model, pixels are areas.
@@ -131,7 +132,7 @@ def fixes_of(
     told = told[np.isfinite(told[:, 0])]
     _, first = np.unique(told[:, 0], return_index=True)
     if len(first) < len(told):
-        dropped["fix whose stamp comes again"] += len(told) - len(first)
+        dropped[SAME_STAMP] += len(told) - len(first)
     told = told[first]
     cov = told[:, [4, 5, 5, 6]].reshape(-1, 2, 2)
     return Fixes(told[:, 0], told[:, 1:4], cov, np.asarray(antenna, float), frame, topic, dict(dropped))

@@ -117,21 +117,35 @@ def _tipped(rows: Float[np.ndarray, "n 7"], up: Float[np.ndarray, "3"], robot: s
     ]
 
 
+class Unit(NamedTuple):
+    """What scans have shown of an IMU: one of `SCALES`, and its bias [rad/s]; None where they have not."""
+
+    scale: float | None = None
+    bias: float | None = None
+
+
 class Turned(NamedTuple):
-    """Scans and odometry with the turns of an IMU; why they are not used, empty where they are."""
+    """Scans and odometry with the turns of an IMU; why they are not used, empty where they are; what scans show."""
 
     scans: list[Scan]
     odometry: Track | None
     findings: list[Finding]
     unused: str
+    unit: Unit = Unit()
 
 
 def with_turns(
-    told: Inertial, robot: str, t: Float[np.ndarray, " m"], scans: Sequence[Scan], odometry: Track | None
+    told: Inertial,
+    robot: str,
+    t: Float[np.ndarray, " m"],
+    scans: Sequence[Scan],
+    odometry: Track | None,
+    before: Unit = Unit(),  # noqa: B008  (it cannot be changed)
 ) -> Turned:
     """The scans, at `t` [s], and the odometry with the IMU's turns, where scans agree with these more than the wheels'.
 
     Without odometry each scan gets a heading; with it the odometry drives as far as it did, by the IMU's headings.
+    before: what earlier scans have shown, which holds where these do not show it.
     """
     turns = turns_of(told, robot)
     if turns is None:
@@ -139,16 +153,21 @@ def with_turns(
     found = list(turns.findings)
     agrees = {scale: _agreement(scans, scale * turns.at(t)) for scale in SCALES}
     best = max(agrees, key=lambda scale: agrees[scale])
-    if best != 1.0 and agrees[best] > max(0.0, agrees[1.0]) + CLEARLY:
-        found.append(Finding("imu-unit", robot, value=SCALES[best], action="they are taken as such"))
-        turns = replace(turns, heading=best * turns.heading)
-    elif -np.inf < agrees[1.0] < 0.0:
+    scale = before.scale or 1.0
+    if best != scale and agrees[best] > max(0.0, agrees[scale]) + CLEARLY:
+        scale = best
+    elif -np.inf < agrees[scale] < 0.0:
         found.append(Finding("imu-unlike", robot, value=told.topic, action="they are not used"))
-        return Turned(list(scans), odometry, found, "its turns are none that scans show")
-    turns = replace(turns, heading=turns.heading - _bias(t, scans, turns.at(t)) * (turns.t - turns.t[0]))
+        return Turned(list(scans), odometry, found, "its turns are none that scans show", before)
+    if scale != 1.0:
+        found.append(Finding("imu-unit", robot, value=SCALES[scale], action="they are taken as such"))
+    turns = replace(turns, heading=scale * turns.heading)
+    bias = _bias(t, scans, turns.at(t))
+    unit = Unit(scale if agrees[scale] > 0.0 else before.scale, before.bias if bias is None else bias)
+    turns = replace(turns, heading=turns.heading - (unit.bias or 0.0) * (turns.t - turns.t[0]))
     if odometry is None:
         found.append(Finding("imu-turns", robot, value=f"{told.topic}: the robot has no wheels"))
-        return Turned(_with_headings(scans, turns.between(t)), None, found, "")
+        return Turned(_with_headings(scans, turns.between(t)), None, found, "", unit)
     wheels = np.unwrap([scan.odometry[2] for scan in scans])  # type: ignore[index]
     if not agrees[best] > _agreement(scans, wheels) + CLEARLY:
         return Turned(list(scans), odometry, found, "wheels tell turns as well")
@@ -180,8 +199,8 @@ def _alike(a: Scan, b: Scan) -> bool:
     return len(a.ranges) == len(b.ranges) and bool((a.T_robot_sensor == b.T_robot_sensor).all())
 
 
-def _bias(t: Float[np.ndarray, " m"], scans: Sequence[Scan], heading: Float[np.ndarray, " m"]) -> float:
-    """The turn rate [rad/s] that is told where scans show that the robot stands; 0 where it never does."""
+def _bias(t: Float[np.ndarray, " m"], scans: Sequence[Scan], heading: Float[np.ndarray, " m"]) -> float | None:
+    """The turn rate [rad/s] that is told where scans show that the robot stands; None where it never does."""
     rates = []
     later = np.searchsorted(t, t + STANDS).tolist()
     for k in range(0, len(scans), max(1, len(scans) // PAIRS)):
@@ -191,7 +210,7 @@ def _bias(t: Float[np.ndarray, " m"], scans: Sequence[Scan], heading: Float[np.n
         rate, change = (heading[j] - heading[k]) / (t[j] - t[k]), range_difference(scans[k], scans[j], 0)
         if change is not None and change < STILL and abs(rate) < STILL_TURN:
             rates.append(rate)
-    return float(np.median(rates)) if len(rates) >= FEWEST else 0.0
+    return float(np.median(rates)) if len(rates) >= FEWEST else None
 
 
 def _with_headings(scans: Sequence[Scan], step: Float[np.ndarray, " k"]) -> list[Scan]:

@@ -21,7 +21,7 @@ from ..core.names import in_order
 from ..core.records import Track
 from ..ranges.network import RangeLog
 from .bag import Bag, bag_hash, open_bag, stamp
-from .bag_robots import FIXES, TF
+from .bag_robots import FIXES, SCAN, TF
 from .fixes import NAVSAT, POSES, fix_row, positions_read, read_fixes, topics_of_fixes, why_no_fixes
 from .laser_logs import is_bag
 from .mcap import Message, fix_message, header_message, message_type, nanoseconds, odometry_message, write_messages
@@ -32,13 +32,14 @@ NAME = re.compile(r"[A-Za-z]+[_-]?[0-9]+|[0-9]+")
 CLOCKS = 1.0  # [s] by which headers of two topics may be off each other: beyond, all go by when they were recorded
 
 
-def is_range_bag(path: Path) -> bool:
-    """Whether `path` is a recording of ranges and odometry, without scans."""
+def is_range_bag(path: Path, *, growing: bool = False) -> bool:
+    """Whether `path` is a recording of ranges and odometry, without scans; of one that grows, without their topic."""
     if not is_bag(path):
         return False
     bag = open_bag(path, ())
     held = {bag.kinds[topic] for topic in bag.kinds if bag.counts.get(topic)}
-    return RANGE in held and ODOMETRY in held and "sensor_msgs/msg/LaserScan" not in held
+    scans = bag.kinds.values() if growing else held
+    return RANGE in held and ODOMETRY in held and SCAN not in scans
 
 
 def read_range_bag(path: Path, radios: Mapping[str, str] | None = None, fixes: str | None = None) -> RangeLog:

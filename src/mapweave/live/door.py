@@ -153,7 +153,7 @@ def _check(message: Message) -> None:
 
 
 def _header(message: Header) -> None:
-    _expect(message.seq == 0, "a header is number 0")
+    _expect(0 <= message.seq <= MOST_MESSAGES, f"a number from 0 to {MOST_MESSAGES}")
     _expect(message.sensor in {"landmarks", "laser", "ranges"}, f"sensor {message.sensor[:LONGEST_NAME]!r}")
     _names(message.robot, message.log_robot)
     _texts(message.run, message.source, message.odometry_from, message.log_hash)
@@ -217,8 +217,8 @@ def _numbered(message: Rows | Scans | Radios | Closed) -> None:
 def _radios(message: Radios) -> None:
     track, told = unpack(message.track, 4), unpack(message.told, 2)
     _expect(told.shape[1] == len(message.whom), "an index a range")
-    _expect(all(0 <= k <= MOST_NAMES for k in message.whom), f"an index from 0 to {MOST_NAMES}")
-    _expect(all(0 <= k < len(message.whom) for k in message.theirs), "rows that there are")
+    _expect(len(message.by) in {0, len(message.whom)}, "who measured each range, or none")
+    _expect(all(0 <= k <= MOST_NAMES for k in (*message.whom, *message.by)), f"an index from 0 to {MOST_NAMES}")
     _column(LATEST, "a stamp", track[0], told[0])
     _column(LARGEST, "odometry", track[1:])
     _column(GREATEST, "a range", told[1])

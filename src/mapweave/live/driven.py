@@ -186,11 +186,13 @@ class LaserRobot:
         self.last = 0
         self._cfg = cfg
         self._session = DrivenSession(header.log_robot, cfg, seed)
+        self._told = False  # whether what comes is told once more
 
     def add(self, message: Numbered) -> None:
         """The estimate with the scans of `message`."""
         self.last = message.seq
-        if isinstance(message, Header):  # it was begun with it
+        self._told |= isinstance(message, Header) and message.seq > 0
+        if isinstance(message, Header) or self._told:  # it was begun with it; what is told anew it has seen
             return
         part = self.record.add(message)
         if part is None:

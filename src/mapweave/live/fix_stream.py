@@ -31,9 +31,13 @@ def packed(fixes: Fixes | None, first: int, last: int) -> bytes:
     """The fixes `first` to `last`: columns t, place, variances."""
     if fixes is None or last <= first:
         return b""
-    rows = slice(first, last)
-    P = fixes.cov[rows][:, [0, 0, 1], [0, 1, 1]]
-    return pack(fixes.t[rows], *fixes.place[rows].T, *np.where(np.isfinite(P).all(axis=1)[:, None], P, UNTOLD).T)
+    return pack(*fix_columns(fixes)[:, first:last])
+
+
+def fix_columns(fixes: Fixes) -> Float[np.ndarray, "7 n"]:
+    """Columns t, place, variances."""
+    P = fixes.cov[:, [0, 0, 1], [0, 1, 1]]
+    return np.vstack([fixes.t, fixes.place.T, np.where(np.isfinite(P).all(axis=1)[:, None], P, UNTOLD).T])
 
 
 class FixRecord:
@@ -66,8 +70,9 @@ def fixes_of(source: FixSource | None, parts: Sequence[Float[np.ndarray, "7 _"]]
 
 
 def joined_fixes(source: FixSource | None, parts: Sequence[Fixes]) -> Fixes | None:
-    """Those of messages one after the other as one."""
-    if source is None or not parts:
-        return fixes_of(source, [])
+    """Those of messages one after the other as one, of what `source` says they are."""
+    none = fixes_of(source, [])
+    if none is None or not parts:
+        return none
     t, place, cov = (np.concatenate([getattr(part, name) for part in parts]) for name in ("t", "place", "cov"))
-    return replace(parts[0], t=t, place=place, cov=cov)
+    return replace(none, t=t, place=place, cov=cov)

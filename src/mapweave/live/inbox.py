@@ -18,7 +18,7 @@ from ..ranges.network import RangeLog
 from .door import decode, envelope_of
 from .isolation import in_words
 from .landmark_stream import WHEELS_LATE, LandmarkRecord, rows_told
-from .laser_stream import LaserRecord, whole_log
+from .laser_stream import LaserRecord, scans_told
 from .messages import (
     Closed,
     Header,
@@ -313,10 +313,10 @@ class Inbox:
 
     def _work_in(self, ledger: Ledger, fresh: Numbered | None, seq: int) -> None:
         message = decode(self._payload(ledger.robot, seq)) if fresh is None else fresh
-        if isinstance(message, Header):
+        if isinstance(message, Header) and seq == 0:
             self._expect_room_for(ledger, message)
             ledger.record = _begun(message)
-        elif ledger.record is None or not isinstance(message, Rows | Scans | Radios | Closed):
+        elif ledger.record is None or not isinstance(message, Numbered):
             raise RefusedError("malformed", f"a {type(message).__name__} in a history without a header")
         else:
             before = _wheelless(ledger)
@@ -522,9 +522,7 @@ class Inbox:
             return rows_told(self._messages(ledger))
         if isinstance(record, RangeRecord):
             return ranges_told(self._messages(ledger))
-        again = LaserRecord(record.header)
-        parts = (again.add(message) for message in self._messages(ledger) if isinstance(message, Scans))
-        return whole_log(record.header, (part for part in parts if part is not None))
+        return scans_told(self._messages(ledger))
 
     def _messages(self, ledger: Ledger) -> Iterator[Message]:
         """The messages before `sure`, from the store and from what it does not hold yet."""

@@ -1,5 +1,6 @@
 """Scans that come one by one, from a program or a ROS graph, as the numbered messages of a robot."""
 
+import math
 import re
 from bisect import bisect_right
 from collections.abc import Sequence
@@ -7,6 +8,9 @@ from dataclasses import dataclass, field
 from operator import itemgetter
 from queue import Empty, Queue
 from threading import Event
+from typing import Any, NamedTuple
+
+from msgspec import structs
 
 from ..core.errors import DataError
 from ..core.names import robot_name
@@ -15,6 +19,7 @@ from .laser_stream import MOST_BYTES, beams_of
 from .messages import Closed, Header, Numbered, RefusedError, ScanBeams, Scans, pack, unpack
 
 Row = tuple[float, float, float, float]  # t [s], x, y [m], theta [rad]
+FixRow = Sequence[float]  # t [s], three of the place, variances as of `fix_columns`
 Stamped = tuple[float, Scan]
 WAITING = 1000  # scans: who hands in more waits
 
@@ -32,21 +37,24 @@ class Packets:
     _until: float | None = None
     _scans: list[ScanBeams] = field(default_factory=list)
     _rows: list[Row] = field(default_factory=list)
+    _fixes: list[FixRow] = field(default_factory=list)
     _bytes: int = 0
 
-    def add(self, placed: Sequence[Stamped], rows: Sequence[Row]) -> list[Numbered]:
+    def add(self, placed: Sequence[Stamped], rows: Sequence[Row], fixes: Sequence[FixRow] = ()) -> list[Numbered]:
         """Whole messages now that these came."""
         out: list[Numbered] = []
         if self.header.odometry:
             self._rows += rows
+        if self.header.fixes is not None:
+            self._fixes += fixes
         for t, scan in placed:
             if self._until is not None and t >= self._until:
-                out += self._flush()
+                out += self._flush(self._scans[-1].t)
                 self._until = None
             beams = beams_of(t, scan)
             size = len(beams.ranges) + len(beams.light or b"") + len(beams.hit)
-            if self._bytes + size > MOST_BYTES:
-                out += self._flush()
+            if self._scans and self._bytes + size > MOST_BYTES:
+                out += self._flush(self._scans[-1].t)
             self._scans.append(beams)
             self._bytes += size
             self._until = t + self.period if self._until is None else self._until
@@ -54,32 +62,66 @@ class Packets:
 
     def close(self) -> list[Numbered]:
         """The rest, and that it is the end."""
-        out = self._flush()
+        out = self.rest()
         self.last += 1
         return [*out, Closed(robot=self.header.robot, run=self.header.run, seq=self.last)]
 
-    def _flush(self) -> list[Numbered]:
-        """The scans that wait, and odometry up to the last of them: what is later comes with later scans."""
-        if not self._scans:
+    def rest(self) -> list[Numbered]:
+        """All that waits."""
+        return self._flush(math.inf)
+
+    def amended(self, header: Header) -> list[Numbered]:
+        """All that waits, and the header once more, where it is another by now than it was told."""
+        out = self.rest()
+        if header != self.header:
+            self.last += 1
+            out.append(structs.replace(header, seq=self.last))
+        return out
+
+    def _flush(self, until: float) -> list[Numbered]:
+        """The scans that wait, odometry and fixes up to `until` [s]: what is later comes with later scans."""
+        (rows, self._rows), (fixes, self._fixes) = _cut(self._rows, until), _cut(self._fixes, until)
+        scans, self._scans, self._bytes = self._scans, [], 0
+        if not (scans or rows or fixes):
             return []
         self.last += 1
-        end = bisect_right(self._rows, self._scans[-1].t, key=itemgetter(0))
-        rows, self._rows = self._rows[:end], self._rows[end:]
-        scans, self._scans, self._bytes = self._scans, [], 0
-        track = pack(*zip(*rows, strict=True)) if rows else b""
-        return [Scans(robot=self.header.robot, run=self.header.run, seq=self.last, track=track, scans=scans)]
+        track, places = _columns(rows), _columns(fixes)
+        h = self.header
+        return [Scans(robot=h.robot, run=h.run, seq=self.last, track=track, scans=scans, fixes=places)]
 
 
-def told_until(kept: Sequence[Numbered]) -> tuple[float | None, float | None, bool | None]:
-    """Stamps [s] of the last scan and the last odometry of a history, and whether its scans have light."""
-    scan = odometry = light = None
+def _cut(rows: list[Any], until: float) -> tuple[list[Any], list[Any]]:
+    """Those up to `until` [s], and those after it."""
+    end = bisect_right(rows, until, key=itemgetter(0))
+    return rows[:end], rows[end:]
+
+
+def _columns(rows: Sequence[Sequence[float]]) -> bytes:
+    return pack(*zip(*rows, strict=True)) if rows else b""
+
+
+class ToldUntil(NamedTuple):
+    """Stamps [s] of the last scan, odometry and fix of a history, and whether its scans have light; None of none."""
+
+    scan: float | None = None
+    odometry: float | None = None
+    fix: float | None = None
+    light: bool | None = None
+
+
+def told_until(kept: Sequence[Numbered]) -> ToldUntil:
+    """Until when a history goes."""
+    told = ToldUntil()
     for message in kept:
         if isinstance(message, Scans):
-            scan = message.scans[-1].t if message.scans else scan
-            light = message.scans[0].light is not None if message.scans and light is None else light
-            track = unpack(message.track, 4)
-            odometry = float(track[0, -1]) if track.shape[1] else odometry
-    return scan, odometry, light
+            scans, track, fixes = message.scans, unpack(message.track, 4)[0], unpack(message.fixes, 7)[0]
+            told = ToldUntil(
+                scans[-1].t if scans else told.scan,
+                float(track[-1]) if len(track) else told.odometry,
+                float(fixes[-1]) if len(fixes) else told.fix,
+                scans[0].light is not None if scans and told.light is None else told.light,
+            )
+    return told
 
 
 def log_robot(name: str) -> str:
@@ -116,9 +158,9 @@ class ScanFeed:
                 raise RefusedError("history", "this drive has ended; a fresh history begins a new one")
             if kept and isinstance(kept[0], Header):
                 self._packets = Packets(kept[0], self._period, kept[-1].seq)
-                t, driven, _ = told_until(kept)
-                self.resumed = self.resumed if t is None else t
-                self._driven = self._driven if driven is None else driven
+                told = told_until(kept)
+                self.resumed = self.resumed if told.scan is None else told.scan
+                self._driven = self._driven if told.odometry is None else told.odometry
         finally:
             self._known.set()
 

@@ -12,7 +12,20 @@ from ..core.laser_log import LaserLog
 from ..core.records import Scan, Track, frozen
 from .door import expect_span, expect_steps
 from .fix_stream import FixRecord, cuts_of, fixes_of, joined_fixes, packed, source_of
-from .messages import LARGEST, Closed, Header, Numbered, RefusedError, ScanBeams, Scans, pack, squeeze, stretch, unpack
+from .messages import (
+    LARGEST,
+    Closed,
+    Header,
+    Message,
+    Numbered,
+    RefusedError,
+    ScanBeams,
+    Scans,
+    pack,
+    squeeze,
+    stretch,
+    unpack,
+)
 
 MOST_AT_ONCE = 200_000  # beams of the scans in one message; a packet of more is split
 MOST_BYTES = LARGEST // 2  # of the scans in one message; a packet of more is split
@@ -23,24 +36,7 @@ def messages_of_laser(log: LaserLog, robot: str, run: str, period: float) -> Ite
     o = log.odometry
     stamps = [log.scan_t] if o is None else [log.scan_t, o.t]
     begin, end = min(float(t[0]) for t in stamps if len(t)), max(float(t[-1]) for t in stamps if len(t))
-    yield (
-        begin,
-        Header(
-            robot=robot,
-            run=run,
-            sensor="laser",
-            log_robot=log.robot,
-            source=log.source,
-            odometry=o is not None,
-            odometry_from=log.odometry_from,
-            log_hash=log.log_hash,
-            dropped=dict(log.dropped),
-            findings=[found.row() for found in log.findings],
-            unused=[left.row() for left in log.unused],
-            sweep=log.sweep,
-            fixes=source_of(log.fixes),
-        ),
-    )
+    yield begin, header_of(log, robot, run)
     cuts = np.arange(begin + period, end, period)
     seen = [0, *np.searchsorted(log.scan_t, cuts, side="right").tolist(), len(log.scans)]
     driven = [0] * len(seen) if o is None else [0, *np.searchsorted(o.t, cuts, side="right").tolist(), len(o.t)]
@@ -63,6 +59,25 @@ def messages_of_laser(log: LaserLog, robot: str, run: str, period: float) -> Ite
             seq += 1
             yield t, Scans(robot=robot, run=run, seq=seq, track=track, scans=batch, fixes=fixes)
     yield end, Closed(robot=robot, run=run, seq=seq + 1)
+
+
+def header_of(log: LaserLog, robot: str, run: str) -> Header:
+    """What of a log is no row."""
+    return Header(
+        robot=robot,
+        run=run,
+        sensor="laser",
+        log_robot=log.robot,
+        source=log.source,
+        odometry=log.odometry is not None,
+        odometry_from=log.odometry_from,
+        log_hash=log.log_hash,
+        dropped=dict(log.dropped),
+        findings=[found.row() for found in log.findings],
+        unused=[left.row() for left in log.unused],
+        sweep=log.sweep,
+        fixes=source_of(log.fixes),
+    )
 
 
 def beams_of(t: float, scan: Scan) -> ScanBeams:
@@ -106,7 +121,7 @@ class LaserRecord:
     """How far a laser robot's messages came, in the order of its numbers; their scans are not kept here.
 
     scans: how many came; t, driven: [s] stamps of the last scan and the last row of odometry; first: of the first of
-    both.
+    both. Where a log is told anew all that is of what came since.
     """
 
     header: Header
@@ -118,6 +133,7 @@ class LaserRecord:
     _light: bool | None = None
     _row: tuple[float, ...] | None = None  # t, x, y of the last row of odometry
     _at: tuple[float, ...] | None = None  # the same of the last scan
+    _anew: Header | None = None
     _fixes: FixRecord = field(init=False)
 
     def __post_init__(self) -> None:
@@ -127,11 +143,18 @@ class LaserRecord:
         """Its scans and odometry as a log of their own; raises RefusedError when they can't be this robot's."""
         if self.closed:
             raise RefusedError("malformed", "a message after the last one")
+        if isinstance(message, Header):
+            if (message.sensor, message.log_robot) != (self.header.sensor, self.header.log_robot):
+                raise RefusedError("malformed", "a header of another log")
+            self._anew = message
+            return None
         if isinstance(message, Closed):
-            self.closed = True
+            self.closed, self.header = True, self._anew or self.header
             return None
         if not isinstance(message, Scans):
             raise RefusedError("sensor", f"{type(message).__name__} from a robot that announced a laser")
+        if self._anew is not None:
+            self._begin_anew(self._anew)
         track = unpack(message.track, 4)
         scans = [scan_of(beams) for beams in message.scans]
         stamps = [beams.t for beams in message.scans]
@@ -145,6 +168,11 @@ class LaserRecord:
         self.scans += len(scans)
         fixes = fixes_of(self.header.fixes, [self._fixes.add(message.fixes)])
         return replace(_log(self.header, stamps, scans, track), fixes=fixes)
+
+    def _begin_anew(self, header: Header) -> None:
+        fresh = LaserRecord(header)
+        for name in self.__slots__:
+            setattr(self, name, getattr(fresh, name))
 
     def _expect(self, stamps: list[float], scans: list[Scan], track: Float[np.ndarray, "4 n"]) -> None:
         if any(later < earlier for earlier, later in pairwise([self.t, *stamps])):
@@ -176,6 +204,30 @@ def _gone_on(before: tuple[float, ...] | None, rows: Sequence[Sequence[float]]) 
     every = np.array([*([] if before is None else [before]), *rows]).reshape(-1, 3)
     expect_steps(every[:, 0], every[:, 1:], "odometry")
     return tuple(every[-1].tolist()) if len(every) else None
+
+
+def scans_told(messages: Iterable[Message]) -> LaserLog | None:
+    """The log that a laser robot's messages make, from its header on; None without one.
+
+    Of one that is told anew, what it was before until it is told to the end.
+    """
+    record: LaserRecord | None = None
+    parts: list[LaserLog] = []
+    anew: list[LaserLog] | None = None
+    for message in messages:
+        if record is None:
+            if not isinstance(message, Header):
+                return None
+            record, header = LaserRecord(message), message
+        elif isinstance(message, Numbered):
+            part = record.add(message)
+            if isinstance(message, Header):
+                anew = []
+            elif part is not None:
+                (parts if anew is None else anew).append(part)
+    if record is None:
+        return None
+    return whole_log(record.header, anew or parts) if record.closed else whole_log(header, parts)
 
 
 def whole_log(header: Header, parts: Iterable[LaserLog]) -> LaserLog:

@@ -138,6 +138,7 @@ class _Robot:
     session: DrivenSession
     walls: WallCells = field(default_factory=WallCells)
     next: int = 1
+    told: bool = False  # whether what comes is told once more
 
     @property
     def size(self) -> int:
@@ -194,14 +195,15 @@ class LiveLaserTeam:
         """A robot's next messages; it begins with the first one."""
         for seq, payload in payloads:
             message = kept(payload)
-            if isinstance(message, Header):
+            if isinstance(message, Header) and seq == 0:
                 self.robots[name] = _Robot(LaserRecord(message), DrivenSession(message.log_robot, self.cfg))
                 continue
             robot = self.robots.get(name)
             if robot is None or seq != robot.next:  # a full disk: the rest is not in the store yet
                 return
             robot.next = seq + 1
-            part = robot.record.add(message) if isinstance(message, Scans) else None
+            robot.told |= isinstance(message, Header)
+            part = robot.record.add(message) if isinstance(message, Scans) and not robot.told else None
             for event in () if part is None else part.events():
                 robot.session.push(event)
 

@@ -1,9 +1,10 @@
 """What processes of a team say to each other: MessagePack maps with a tag `type` and the protocol version `v`.
 
 Numbered messages (`Header`, `Rows`, `Scans`, `Radios`, `Closed`) are a robot's history: number 0 is its header, and
-none is ever changed. The others tell how things stand and may be lost. Columns are bytes: little-endian float64, one
-column after the other (`pack`), or as few as a sensor's need (`squeeze`), which come back to the bit. Times are in
-seconds of the robot's own clock, lengths in metres, angles in radians. They are read by `door.decode` alone.
+none is ever changed. What a robot knows at the end alone is a header once more. The others tell how things stand
+and may be lost. Columns are bytes: little-endian float64, one column after the other (`pack`), or as few as a sensor's
+need (`squeeze`), which come back to the bit. Times are in seconds of the robot's own clock, lengths in metres, angles
+in radians. They are read by `door.decode` alone.
 
 They are said under the keys of a team (`Topics`): a robot speaks under `mapweave/<team>/<robot>/` alone, a map process
 under `mapweave/<team>/@map/<name>/`; no wildcard for robots takes in a chunk that begins with `@`.
@@ -22,7 +23,7 @@ from jaxtyping import Float, Int
 from ..core.errors import DataError, MapweaveError, UsageError
 from ..core.records import frozen
 
-PROTOCOL = 5
+PROTOCOL = 6
 LARGEST = 1 << 20  # bytes of a message: beyond, it is refused unread
 LONGEST_NAME = 64
 MOST_LEVELS = 16  # of tiles
@@ -46,6 +47,9 @@ class FixSource(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 class Header(_Message, tag="header", frozen=True):
     """The first message of a history: who tells it, and what its log is called by those who read it whole.
+
+    A later one tells that anew, of scans or ranges, before the log is closed: those that follow it are the whole log
+    once more, in place of what was told before.
 
     sensor: "landmarks", "laser" or "ranges"; log_robot: `robotK`, of ranges any name; names: landmarks and robots by
     the index that `Rows.what` counts from (`Radios.whom`: itself, robots and beacons), bearing_names: those that
@@ -131,8 +135,8 @@ class Scans(_Message, tag="scans", frozen=True):
 class Radios(_Message, tag="radios", frozen=True):
     """Odometry and ranges of a robot, later than those of all earlier messages.
 
-    track: columns t, x, y, theta; told: columns t, range; whom: an index a range, whom to; theirs: rows of `told` that
-    the other end measured; fixes: as of `Rows`.
+    track: columns t, x, y, theta; told: columns t, range; whom: an index a range, whom to; by: an index a range, who
+    measured it, none where all are the robot's own; fixes: as of `Rows`.
     """
 
     robot: str
@@ -141,7 +145,7 @@ class Radios(_Message, tag="radios", frozen=True):
     track: bytes = b""
     told: bytes = b""
     whom: list[int] = []
-    theirs: list[int] = []
+    by: list[int] = []
     fixes: bytes = b""
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..core import se2
 from ..core.findings import finding_of, unused_of
@@ -30,13 +30,14 @@ UNKNOWN = np.diag([1e8, 1e8, np.pi**2])  # [m^2, rad^2] of a place that nothing 
 
 def of_robot(log: RangeLog, name: str) -> RangeLog:
     """What robot `name` of the log tells a team: its odometry, and the ranges that it measured or a beacon measured of
-    it. The first of all robots tells beside what reading the log has found.
+    it. The first of all robots tells beside those between beacons, and what reading the log has found.
     """
     robots = sorted(log.odometry, key=in_order)
     whose = [k for k, one in enumerate(log.names) if one == name]
     others = [k for k, one in enumerate(log.names) if one in log.odometry]
-    rows = np.isin(log.a, whose) | (np.isin(log.b, whose) & ~np.isin(log.a, others))
     first = name == robots[0]
+    rows = np.isin(log.a, whose) | (np.isin(log.b, whose) & ~np.isin(log.a, others))
+    rows |= first & ~np.isin(log.a, others) & ~np.isin(log.b, others)
     return replace(
         log,
         odometry={name: log.odometry[name]},
@@ -88,13 +89,11 @@ def of_team(logs: Sequence[RangeLog]) -> RangeLog:
 def messages_of_ranges(log: RangeLog, robot: str, run: str, period: float) -> Iterator[tuple[float, Numbered]]:
     """All messages of one robot's whole log and when each is complete [s], as of the other kinds."""
     ((name, track),) = log.odometry.items()
-    bad = ~(np.isfinite(log.z) & (log.z > 0)) & (log.a != log.b)
-    dropped = {**log.dropped, NO_NUMBER: log.dropped.get(NO_NUMBER, 0) + int(bad.sum())} if bad.any() else log.dropped
-    order = np.flatnonzero(~bad)
-    order = order[np.argsort(log.t[order], kind="stable")]
+    order = told_of(log)
+    bad = len(log.z) - len(order)
+    dropped = {**log.dropped, NO_NUMBER: log.dropped.get(NO_NUMBER, 0) + bad} if bad else log.dropped
     a, b, t, z = log.a[order], log.b[order], log.t[order], log.z[order]
-    mine = log.names.index(name)
-    whom = np.where(a == mine, b, a)
+    own = a == log.names.index(name)
     begin = min([float(track.t[0]), *t[:1].tolist()])
     end = max([float(track.t[-1]), *t[-1:].tolist()])
     antenna = log.antennas.get(name)
@@ -135,12 +134,18 @@ def messages_of_ranges(log: RangeLog, robot: str, run: str, period: float) -> It
                         seq=seq,
                         track=pack(track.t[driven], *track.pose[driven].T),
                         told=pack(t[rows], z[rows]),
-                        whom=whom[rows].tolist(),
-                        theirs=np.flatnonzero(a[rows] != mine).tolist(),
+                        whom=b[rows].tolist(),
+                        by=[] if own[rows].all() else a[rows].tolist(),
                         fixes=fixes,
                     ),
                 )
     yield end, Closed(robot=robot, run=run, seq=seq + 1)
+
+
+def told_of(log: RangeLog) -> Int[np.ndarray, " k"]:
+    """The ranges that are told, in order of time: all but those that are no numbers."""
+    order = np.flatnonzero((np.isfinite(log.z) & (log.z > 0)) | (log.a == log.b))
+    return np.asarray(order[np.argsort(log.t[order], kind="stable")])
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,6 +171,8 @@ class RangeRecord:
     _at: tuple[float, ...] | None = None  # t, x, y of the last row of odometry
     _names: set[str] = field(init=False)
     _mine: int = field(init=False)
+    _others: list[int] = field(init=False)
+    _anew: Header | None = None
     _fixes: FixRecord = field(init=False)
 
     def __post_init__(self) -> None:
@@ -174,47 +181,72 @@ class RangeRecord:
         if self.header.log_robot not in self._names or not self.header.odometry:
             raise RefusedError("malformed", "a ranging robot without its own name or odometry")
         self._mine = self.header.names.index(self.header.log_robot)
+        self._others = [k for k, name in enumerate(self.header.names) if name in self.header.others]
 
     def add(self, message: Numbered) -> RadioPart | None:
         """Its rows; raises RefusedError when they can't be those of this robot."""
         if self.closed:
             raise RefusedError("malformed", "a message after the last one")
-        if isinstance(message, Closed):
-            self.closed = True
-            return None
-        if not isinstance(message, Radios):
+        if isinstance(message, Radios):
+            return self._rows(message)
+        if isinstance(message, Header):
+            if (message.sensor, message.log_robot) != (self.header.sensor, self.header.log_robot):
+                raise RefusedError("malformed", "a header of another log")
+            self._anew = message
+        elif isinstance(message, Closed):
+            if self._anew is not None and self._anew.names != self.header.names:
+                raise RefusedError("malformed", "a header whose names are not those that ranges were told by")
+            self.closed, self.header = True, self._anew or self.header
+        else:
             raise RefusedError("sensor", f"{type(message).__name__} from a robot that announced ranges")
+        return None
+
+    def _rows(self, message: Radios) -> RadioPart:
+        if self._anew is not None:
+            fresh = RangeRecord(self._anew)
+            for name in self.__slots__:
+                setattr(self, name, getattr(fresh, name))
         track, told = unpack(message.track, 4), unpack(message.told, 2)
         if not (np.diff(np.concatenate([[self._driven], track[0]])) > 0).all():
             raise RefusedError("malformed", "odometry that steps back in time")
         if not (np.diff(np.concatenate([[self._ranged], told[0]])) >= 0).all():
             raise RefusedError("malformed", "ranges that step back in time")
-        whom = indexed(self._names, [], message.whom)
+        whom, by = (indexed(self._names, [], ends) for ends in (message.whom, message.by))
+        by = by if len(by) else np.full(len(whom), self._mine)
+        if (np.isin(by, self._others) | ((by != self._mine) & np.isin(whom, self._others))).any():
+            raise RefusedError("malformed", "ranges that other robots tell")
         first = expect_span(expect_span(self._first, track[0]), told[0])
         rows = np.array([*([] if self._at is None else [self._at]), *track[:3].T.tolist()]).reshape(-1, 3)
         expect_steps(rows[:, 0], rows[:, 1:], "odometry")
         self._first, self._at = first, tuple(rows[-1].tolist()) if len(rows) else None
         self._driven = float(track[0, -1]) if track.shape[1] else self._driven
         self._ranged = float(told[0, -1]) if told.shape[1] else self._ranged
-        theirs = np.isin(np.arange(len(whom)), message.theirs)
-        mine = np.full(len(whom), self._mine)
-        fixes = self._fixes.add(message.fixes)
-        return RadioPart(track, told, np.where(theirs, whom, mine), np.where(theirs, mine, whom), fixes)
+        return RadioPart(track, told, by, whom, self._fixes.add(message.fixes))
 
 
 def ranges_told(messages: Iterable[Message]) -> RangeLog | None:
-    """The log that a ranging robot's messages make, from its header on; None without one, or without odometry."""
+    """The log that a ranging robot's messages make, from its header on; None without one, or without odometry.
+
+    Of one that is told anew, what it was before until it is told to the end.
+    """
     record: RangeRecord | None = None
     parts: list[RadioPart] = []
+    anew: list[RadioPart] | None = None
     for message in messages:
-        if isinstance(message, Header):
-            record = RangeRecord(message)
-        elif isinstance(message, Radios) and record is not None:
+        if record is None:
+            if not isinstance(message, Header):
+                return None
+            record, h = RangeRecord(message), message
+        elif isinstance(message, Numbered):
             part = record.add(message)
-            parts += [] if part is None else [part]
+            if isinstance(message, Header):
+                anew = []
+            elif part is not None:
+                (parts if anew is None else anew).append(part)
+    if record is not None and record.closed:
+        h, parts = record.header, anew or parts
     if record is None or not any(part.track.shape[1] for part in parts):
         return None
-    h = record.header
     track = np.concatenate([part.track for part in parts], axis=1)
     t, z = np.concatenate([part.told for part in parts], axis=1)
     fixes = fixes_of(h.fixes, [part.fixes for part in parts])
@@ -244,10 +276,12 @@ class RangeRobot:
         self.t: float | None = None
         self._pose, self._cov = np.zeros(3), np.zeros((3, 3))
         self._row: np.ndarray | None = None
+        self._told = False  # whether what comes is told once more
 
     def add(self, message: Numbered) -> None:
         """The estimate with the rows of `message`."""
-        if isinstance(message, Header):  # it was begun with it
+        self._told |= isinstance(message, Header) and message.seq > 0
+        if isinstance(message, Header) or self._told:  # it was begun with it; what is told anew it has seen
             return
         part = self.record.add(message)
         if part is None or not part.track.shape[1]:

@@ -217,7 +217,7 @@ class RobotProcess:
             raise UsageError(f"{self._store.path}: {error}") from None
         driving = None
         for message in history:
-            driving = begin(message) if isinstance(message, Header) else driving
+            driving = begin(message) if driving is None and isinstance(message, Header) else driving
             assert driving is not None  # noqa: S101  (a history begins with its header)
             driving.add(message)
             self.last = message.seq
@@ -231,7 +231,7 @@ class RobotProcess:
         """`batch` kept, told and driven through."""
         self._tell(batch)
         for message in batch:
-            driving = begin(message) if isinstance(message, Header) else driving
+            driving = begin(message) if driving is None and isinstance(message, Header) else driving
             assert driving is not None  # noqa: S101  (a header comes first)
             driving.add(message)
         return driving

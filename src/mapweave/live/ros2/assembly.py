@@ -10,12 +10,16 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from ...core.findings import Finding
 from ...core.records import Scan, Track, frozen
 from ...io.assemble import LONGEST_SWEEP, RawScan, floats, is_sound, poses_at, scan_of
+from ...io.fixes import SAME_STAMP, fix_row
+from ...io.inertial import Inertial, Unit, imu_row, with_turns
 from ...io.scan_checks import has_moved, is_frozen, is_habit, is_same_revolution
-from ...io.transforms import Transforms, frame, in_range, planar, rigid
+from ...io.transforms import NOWHERE, Transforms, frame, in_range, planar, rigid, rotation_matrix
 from ..door import GREATEST, MOST_BEAMS, expect_steps
-from ..laser_feed import Row, Stamped
+from ..fix_stream import UNTOLD
+from ..laser_feed import FixRow, Row, Stamped, ToldUntil
 from ..messages import RefusedError
 
 PATIENCE = 2.0  # [s] of the robot's clock, and of ours, that a scan waits for odometry and for its frame
@@ -25,6 +29,9 @@ SURE = 3
 MOST_WAITING = 2000  # scans
 OTHER_SWEEP = 0.25  # share by which scanners of one kind differ at most in the time of a scan
 UNDECIDED = 2000  # transforms kept while it is open whether odometry comes from tf
+WINDOW = 400  # scans that tell of a gyroscope's unit and bias
+TURNED_EVERY = 1.0  # [s] of scans that are given their headings together
+MOST_TURNS = 50_000  # messages of an IMU
 POSES, BY_TF, NO_ODOMETRY = "poses", "tf", "none"
 
 
@@ -55,21 +62,23 @@ class Assembly:
     """What one robot's messages make. `scan`, `odometry` and `transforms` change it; `ready` takes what is whole.
 
     wheels: where odometry comes from: "poses", "tf" or "none". sensor_pose: `T_robot_sensor`, where no transform
-    tells it. sweep: [s] that a scan takes, as its driver states it. refused: messages not used, by reason;
-    first_refusals: the first of each reason.
+    tells it. sweep: [s] that a scan takes, as its driver states it. fix_frame: of position fixes; fixes_left: those
+    that tell nothing, by reason. refused: messages not used, by reason; first_refusals: the first of each reason.
     """
 
     def __init__(self, wheels: str = POSES, sensor_pose: Sequence[float] | None = None) -> None:
         self.wheels = wheels
         self.refused: Counter[str] = Counter()
         self.first_refusals: dict[str, str] = {}
-        self.odom_frame = self.base_frame = self.sensor_frame = ""
+        self.odom_frame = self.base_frame = self.sensor_frame = self.fix_frame = ""
+        self.fixes_left: Counter[str] = Counter()
         self.sweep = 0.0
         self.latest: Row | None = None
         self._given = None if sensor_pose is None else frozen(sensor_pose)
         self._tf = Transforms()
         self._places: dict[str, tuple[np.ndarray, bool]] = {}
-        self._wheels_clock = Clock("odometry")
+        self._wheels_clock, self._fix_clock = Clock("odometry"), Clock("a position fix")
+        self._fixes: list[FixRow] = []
         self._scanners: dict[str, Clock] = {}
         self._told_until: float | None = None  # [s] stamp of the last scan that was told
         # of each frame the first and the last of the scans with the ranges of the latest, and how many repeat the first
@@ -83,15 +92,14 @@ class Assembly:
         self._sweeps: dict[str, float] = {}  # of each scanner, once it is stated
         self._told_sweep: float | None = None
 
-    def resume(
-        self, scan: float | None, odometry: float | None, *, light: bool | None, sweep: float | None = None
-    ) -> None:
-        """Stamps [s] that were told already: only later ones are used; light: whether scans had intensities.
+    def resume(self, told: ToldUntil, *, sweep: float | None = None) -> None:
+        """What was told already: only later scans, odometry and fixes are used.
 
-        sweep: [s] that each of them took, of a robot with one scanner.
+        sweep: [s] that each scan took, of a robot with one scanner.
         """
-        self._told_until, self._wheels_clock.last, self._light = scan, odometry, light
-        self._told_sweep = None if scan is None else sweep
+        self._told_until, self._light = told.scan, told.light
+        self._wheels_clock.last, self._fix_clock.last = told.odometry, told.fix
+        self._told_sweep = None if told.scan is None else sweep
 
     def refuse(self, error: RefusedError) -> None:
         """Counted; the first of each reason is kept in words."""
@@ -142,6 +150,37 @@ class Assembly:
             self._row(
                 _stamp(message.header), planar(pose), (frame(message.header.frame_id), frame(message.child_frame_id))
             )
+
+    def fix(self, message: Any) -> None:
+        """One position fix, of whatever type tells such."""
+        t = _stamp(message.header)
+        row = fix_row(t, message)
+        if isinstance(row, str) or t == self._fix_clock.last:
+            self.fixes_left[row if isinstance(row, str) else SAME_STAMP] += 1
+            return
+        try:
+            self._fix_clock.take(t)
+        except RefusedError as error:
+            self.refuse(error)
+            return
+        self.fix_frame = self.fix_frame or frame(message.header.frame_id)
+        self._fixes.append((*row[:4], *(row[4:] if np.isfinite(row[4:]).all() else (UNTOLD,) * 3)))
+
+    def fixes(self) -> list[FixRow]:
+        """Those since the last time."""
+        out, self._fixes = self._fixes, []
+        return out
+
+    def up(self, name: str) -> Float[np.ndarray, "3"]:
+        """Which way is up in a frame, as far as transforms tell: its own z, where they do not."""
+        place = self._tf.rigid_pose(self.base_frame, name) if self.base_frame else None
+        return np.asarray(rotation_matrix((place or NOWHERE)[1])[2])
+
+    @property
+    def antenna(self) -> tuple[float, ...]:
+        """Where tf has the frame of fixes on the robot; its origin where it has not."""
+        place = self._tf.rigid_pose(self.base_frame, self.fix_frame) if self.base_frame and self.fix_frame else None
+        return (0.0, 0.0) if place is None else tuple(map(float, place[0][:2]))
 
     def _row(self, t: float, pose: tuple[float, float, float], edge: tuple[str, str]) -> None:
         try:
@@ -311,6 +350,63 @@ class Assembly:
         first = self._waiting[0][0].t if self._waiting else self._rows[-1][0] if self._rows else 0.0
         keep = next((k for k, (_, b) in enumerate(pairwise(self._rows)) if b[0] >= first), max(len(self._rows) - 2, 0))
         del self._rows[:keep]
+
+
+class Gyroscope:
+    """Headings of a robot without odometry: the turns of its IMU, as the reader of recordings finds them in scans.
+
+    Of its unit and its bias the last scans tell. `turned` gives scans their headings, a second's at a time; a scan
+    that came before scans had shown the unit has none.
+    """
+
+    def __init__(self, topic: str) -> None:
+        self.frame = ""
+        self.findings = list[Finding]()
+        self._topic, self._unit, self._clock = topic, Unit(), Clock("a turn")
+        self._rows: deque[tuple[float, ...]] = deque(maxlen=MOST_TURNS)
+        self._waiting: list[Stamped] = []
+        self._told: list[Stamped] = []  # the last ones
+        self._due = -np.inf
+
+    def add(self, message: Any) -> None:
+        """One Imu; raises RefusedError for a stamp that cannot be."""
+        row = imu_row(_stamp(message.header), message)
+        self._clock.take(row[0])
+        self.frame = self.frame or frame(message.header.frame_id)
+        self._rows.append(row)
+
+    def turned(self, placed: Sequence[Stamped], up: Float[np.ndarray, "3"], *, all_of_them: bool) -> list[Stamped]:
+        """Scans whose turns are known by now, or will not be. up: in the unit's frame."""
+        self._waiting += placed
+        if not self._waiting or not (all_of_them or self._waiting[-1][0] > self._due):
+            return []
+        until = max(self._rows[-1][0] if self._rows else -np.inf, self._waiting[-1][0] - PATIENCE)
+        out = [one for one in self._waiting if all_of_them or one[0] <= until]
+        self._waiting = self._waiting[len(out) :]
+        self._due = out[-1][0] + TURNED_EVERY if out else self._due
+        told, out = self._told, self._headed(out, up) if out else out
+        self._told = [*told, *out][-WINDOW:]
+        while self._rows and self._told and self._rows[0][0] < self._told[0][0] - TURNED_EVERY:
+            self._rows.popleft()
+        return out
+
+    def _headed(self, fresh: list[Stamped], up: Float[np.ndarray, "3"]) -> list[Stamped]:
+        every = [*self._told, *fresh]
+        t, scans = np.array([t for t, _ in every]), [scan for _, scan in every]
+        rows = floats(list(self._rows)).reshape(-1, 7)
+        found = with_turns(Inertial(self._topic, rows, up), "", t, scans, None, self._unit)
+        self._unit = found.unit
+        if found.unused or found.unit.scale is None:
+            return fresh
+        self.findings = [f for f in found.findings if f.code.startswith("imu-")]
+        last = scans[len(self._told) - 1].heading if self._told else None
+        here = found.scans[len(self._told) - 1].heading
+        turn = 0.0 if last is None or here is None else last - here
+        headed = [s.heading for s in found.scans[len(self._told) :]]
+        return [
+            (at, replace(scan, heading=None if heading is None else heading + turn))
+            for (at, scan), heading in zip(fresh, headed, strict=True)
+        ]
 
 
 def _sound(pose: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "4"]]) -> bool:

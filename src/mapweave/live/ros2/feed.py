@@ -8,11 +8,17 @@ from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import partial
 from queue import Empty, Full, Queue
+from typing import Any
 
+from msgspec import structs
+
+from ...io.bag_robots import FIXES
+from ...io.fixes import NAVSAT, frame_of
+from ...io.inertial import IMU
 from ..laser_feed import Packets, Row, Stamped, log_robot, told_until
-from ..messages import Closed, Header, Numbered, RefusedError
+from ..messages import Closed, FixSource, Header, Numbered, RefusedError
 from ..transport import Callback, HistoryConfig, Sample, SampleKind, Session, declare_advanced_subscriber
-from .assembly import NO_ODOMETRY, POSES, Assembly
+from .assembly import BY_TF, NO_ODOMETRY, POSES, Assembly, Gyroscope
 from .wire import (
     BRIDGE,
     NO_HASH,
@@ -39,7 +45,8 @@ class RosRobot:
     """One robot of a graph. name: its namespace without slashes around, empty where there is none.
 
     tf, tf_static: topics of transforms, its own before those of all; scanners: its other scans; beside: other odometry,
-    which is not heard.
+    which is not heard; fixes: topics that tell where it is, of which one may be heard; imu: that tell its turns, of
+    which one is heard where it has no odometry.
     """
 
     name: str
@@ -48,6 +55,8 @@ class RosRobot:
     tf: tuple[Topic, ...]
     scanners: tuple[Topic, ...] = ()
     beside: tuple[str, ...] = ()
+    fixes: tuple[Topic, ...] = ()
+    imu: tuple[Topic, ...] = ()
 
     @property
     def called(self) -> str:
@@ -102,23 +111,40 @@ class Graph:
     def robots(self) -> list[RosRobot]:
         """Every robot that publishes scans, in the order of names."""
         scans, odometry, tf = self.published(SCAN), self.published(ODOMETRY), self.published(TF)
+        fixes, imu = self.fixes(), self.published(IMU)
         homes: dict[str, list[Topic]] = {}
         for topic in scans:
             homes.setdefault("/".join(_home(_place(topic), [_place(t) for t in (*odometry, *tf)])), []).append(topic)
-        return [self._robot(name, homes, odometry, tf) for name in sorted(homes)]
+        return [self._robot(name, homes, odometry, tf, fixes, imu) for name in sorted(homes)]
+
+    def fixes(self) -> list[Topic]:
+        """All topics that tell positions."""
+        return [topic for kind in FIXES for topic in self.published(kind)]
 
     @staticmethod
-    def _robot(name: str, homes: dict[str, list[Topic]], odometry: Sequence[Topic], tf: Sequence[Topic]) -> RosRobot:
+    def _robot(
+        name: str,
+        homes: dict[str, list[Topic]],
+        odometry: Sequence[Topic],
+        tf: Sequence[Topic],
+        fixes: Sequence[Topic],
+        imu: Sequence[Topic],
+    ) -> RosRobot:
         place: Place = tuple(name.split("/")) if name else ()
         others = [tuple(h.split("/")) for h in homes if h and h != name]
-        free = [t for t in odometry if not any(_within(_place(t), other) for other in others)]
-        mine = [t for t in free if _within(_place(t), place)] or (free if len(homes) == 1 else [])
+
+        def mine_of(topics: Sequence[Topic]) -> list[Topic]:
+            free = [t for t in topics if not any(_within(_place(t), other) for other in others)]
+            return free if len(homes) == 1 else [t for t in free if _within(_place(t), place)]
+
+        mine = [t for t in mine_of(odometry) if _within(_place(t), place)] or mine_of(odometry)
         scan, *more = _best(homes[name], "scan")
         wheels = _best(mine, "odom")
         own = [t for t in tf if place and _within(_place(t), place)]
         shared = [t for t in tf if not _place(t)]
         beside = tuple(t.name for t in wheels[1:])
-        return RosRobot(name, scan, wheels[0] if wheels else None, (*own, *shared), tuple(more), beside)
+        told, turns = tuple(mine_of(fixes)), tuple(_best(mine_of(imu), "imu"))
+        return RosRobot(name, scan, wheels[0] if wheels else None, (*own, *shared), tuple(more), beside, told, turns)
 
 
 def chosen(robots: Sequence[RosRobot], name: str, pattern: str | None) -> RosRobot | None:
@@ -134,6 +160,22 @@ def chosen(robots: Sequence[RosRobot], name: str, pattern: str | None) -> RosRob
         there = ", ".join(r.name or "one without a namespace" for r in fit)
         raise RefusedError("pattern", f"--pattern: which robot is {name}? There are {there}")
     return fit[0] if fit else None
+
+
+def chosen_fixes(graph: Graph, robot: RosRobot, asked: str | None) -> Topic | None:
+    """The topic of fixes that is heard of `robot`: a satellite receiver's, or the one `asked` for by name, as of `map`.
+
+    Raises RefusedError for a name of none.
+    """
+    if asked is None:
+        return next(iter(_best([t for t in robot.fixes if t.kind == NAVSAT], "fix")), None)
+    wanted = [word.strip().strip("/") for word in asked.split(",") if word.strip() and word.strip() != "none"]
+    there = {topic.name.strip("/"): topic for topic in graph.fixes()}
+    for word in wanted:
+        if word not in there:
+            held = ", ".join(f"{t.name} ({t.kind})" for t in there.values()) or "none"
+            raise RefusedError("fixes", f"--fixes: no topic {word!r} that tells positions; there are {held}")
+    return next((there[word] for word in wanted if there[word] in robot.fixes), None)
 
 
 def _place(topic: Topic) -> Place:
@@ -169,7 +211,7 @@ Heard = tuple[Topic, bytes, bytes | None]
 class Chosen:
     """What the feed is asked for. pattern: of the robot's namespace; period: [s] of scans in one message.
 
-    all_scanners: the scans of all that the robot has, not of the first alone.
+    all_scanners: the scans of all that the robot has, not of the first alone; fixes: as of `map`.
     """
 
     name: str
@@ -179,6 +221,7 @@ class Chosen:
     pattern: str | None = None
     sensor_pose: tuple[float, float, float] | None = None
     all_scanners: bool = False
+    fixes: str | None = None
 
 
 @dataclass(slots=True)
@@ -210,6 +253,8 @@ class RosFeed:
     def __init__(self, session: Session, asked: Chosen, say: Say) -> None:
         self.asked, self.graph = asked, Graph()
         self.robot: RosRobot | None = None
+        self._fixes: Topic | None = None
+        self._gyroscope: Gyroscope | None = None
         self.member: Member | None = None
         self.assembly = Assembly(sensor_pose=asked.sensor_pose)
         self.lost: Counter[str] = Counter()
@@ -233,13 +278,12 @@ class RosFeed:
         if not kept:
             return
         header, last = kept[0], kept[-1]
-        if isinstance(last, Closed):
+        if isinstance(last, Closed) or (isinstance(last, Header) and last.seq):
             raise RefusedError("history", "this drive has ended; --fresh begins a new one")
         assert isinstance(header, Header)  # noqa: S101  (number 0 of every history)
         self._packets, self._new = Packets(header, self.asked.period, last.seq), False
         self.assembly.wheels = header.odometry_from
-        scan, odometry, light = told_until(kept)
-        self.assembly.resume(scan, odometry, light=light, sweep=None if self.asked.all_scanners else header.sweep)
+        self.assembly.resume(told_until(kept), sweep=None if self.asked.all_scanners else header.sweep)
 
     def take(self, timeout: float) -> list[Numbered]:
         """Messages that are whole now; waits for something to come for `timeout` [s] at most."""
@@ -257,9 +301,9 @@ class RosFeed:
         if not self._begun(now=True):
             return []
         assert self._packets is not None  # noqa: S101  (begun)
-        out = self._whole(*self.assembly.ready(all_of_them=True))
+        out = self._whole(*self.assembly.ready(all_of_them=True), end=True)
         self._tell()
-        return [] if self._new else [*out, *self._packets.close()]
+        return [] if self._new else [*out, *self._packets.amended(self._known()), *self._packets.close()]
 
     @property
     def header(self) -> Header | None:
@@ -301,14 +345,37 @@ class RosFeed:
             odometry_from=wheels,
             log_hash=self.asked.run,
             sweep=self.assembly.sweep,
+            fixes=self._fix_source(),
         )
 
-    def _whole(self, placed: list[Stamped], rows: list[Row]) -> list[Numbered]:
+    def _fix_source(self) -> FixSource | None:
+        """What of its fixes is known by now."""
+        a, topic = self.assembly, self._fixes
+        if topic is None:
+            return None
+        antenna = a.antenna if topic.kind == NAVSAT else (0.0, 0.0)
+        frame = frame_of(topic.kind, a.fix_frame)
+        return FixSource(frame=frame, topic=topic.name, antenna=antenna, dropped=dict(a.fixes_left))
+
+    def _known(self) -> Header:
+        """The header, with what of fixes and turns was known only when some had come."""
+        assert self._packets is not None  # noqa: S101  (begun)
+        header, source = self._packets.header, self._fix_source()
+        if header.fixes is not None and source is not None and (self.assembly.fix_frame or self.assembly.fixes_left):
+            header = structs.replace(header, fixes=source)
+        if self._gyroscope is not None and self._gyroscope.findings:
+            found = [replace(one, robot=header.log_robot).row() for one in self._gyroscope.findings]
+            header = structs.replace(header, findings=found)
+        return header
+
+    def _whole(self, placed: list[Stamped], rows: list[Row], *, end: bool = False) -> list[Numbered]:
         """Messages that are complete now; the header comes before the first scan."""
         assert self._packets is not None  # noqa: S101  (begun)
+        if self._gyroscope is not None and self.assembly.wheels == NO_ODOMETRY:
+            placed = self._gyroscope.turned(placed, self.assembly.up(self._gyroscope.frame), all_of_them=end)
         new = bool(placed) and self._new
         self._new = self._new and not new
-        return [*([self._packets.header] if new else []), *self._packets.add(placed, rows)]
+        return [*([self._packets.header] if new else []), *self._packets.add(placed, rows, self.assembly.fixes())]
 
     def _work_in(self, timeout: float) -> None:
         """Everything that came."""
@@ -338,8 +405,19 @@ class RosFeed:
             self.assembly.scan(message, topic.name)
         elif topic.kind == ODOMETRY:
             self.assembly.odometry(message)
+        elif topic.kind in FIXES:
+            self.assembly.fix(message)
+        elif topic.kind == IMU:
+            self._turn(message)
         else:
             self.assembly.transforms(message)
+
+    def _turn(self, message: Any) -> None:
+        try:
+            if self._gyroscope is not None and self.assembly.wheels != BY_TF:
+                self._gyroscope.add(message)
+        except RefusedError as error:
+            self.assembly.refuse(error)
 
     def _is_new(self, topic: Topic, attachment: bytes | None) -> bool:
         """Whether this is the next message of its publisher, or a later one; what is between them was lost.
@@ -376,8 +454,13 @@ class RosFeed:
             there = ", ".join(robot.name or "one without a namespace" for robot in robots)
             self._once(f"no robot fits {self.asked.pattern!r} yet; there are {there}")
             return
+        self._fixes = chosen_fixes(self.graph, choice, self.asked.fixes)
+        if self.asked.fixes not in {None, "none"} and self._fixes is None:
+            self._once(f"--fixes {self.asked.fixes}: of another robot, or it is not told of which: not heard")
         self.robot = choice
         wheels = choice.odometry.name if choice.odometry else "tf, if that tells any"
+        imu = choice.imu[:1] if choice.odometry is None else ()
+        self._gyroscope = Gyroscope(imu[0].name) if imu else None
         scanners = choice.scanners if self.asked.all_scanners else ()
         left = [*([] if scanners else [t.name for t in choice.scanners]), *choice.beside]
         beside = f"; not heard: {', '.join(left)}" if left else ""
@@ -385,16 +468,19 @@ class RosFeed:
         if not choice.scan.bridged:
             self.member.declare(NODE)
         self._last = now
-        self._heard_topics((*choice.topics, *scanners))
+        self._heard_topics((*choice.topics, *scanners, *([self._fixes] if self._fixes else []), *imu))
         scans = " and ".join(topic.name for topic in (choice.scan, *scanners))
         through = f" through {BRIDGE}" if choice.scan.bridged else ""
-        self._once(f"hears {scans}{through}, odometry from {wheels}{beside}")
+        fixes = f", position fixes from {self._fixes.name}" if self._fixes else ""
+        turns = f", turns of {imu[0].name} without it" if imu else ""
+        self._once(f"hears {scans}{through}, odometry from {wheels}{turns}{fixes}{beside}")
 
     def _heard_topics(self, topics: Sequence[Topic]) -> None:
         assert self.member is not None  # noqa: S101  (chosen)
         for topic in topics:
             latched = topic.qos.transient_local
-            qos = Qos(topic.kind != SCAN, latched, 100 if topic.kind == TF else 10)
+            reliable = topic.qos.reliable if topic.kind in {IMU, *FIXES} else topic.kind != SCAN
+            qos = Qos(reliable, latched, 100 if topic.kind == TF else 10)
             self.member.declare(SUBSCRIPTION, replace(topic, qos=qos))
             self._declared.append(
                 declare_advanced_subscriber(
