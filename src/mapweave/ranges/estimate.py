@@ -498,11 +498,11 @@ def _laid_and_solved(
 ) -> tuple[_Laid, list[_Solved]]:
     """How the bodies `waiting` lie that ranges place, worked out from each of the layouts, the likeliest first."""
     best: tuple[_Laid, list[_Solved]] | None = None
-    whole, count = _laid_in_pieces(net, bodies, waiting, 1), len(bodies.turns)
+    whole, count = _laid_in_pieces(net, bodies, waiting, 1), len(bodies.turns)  # how many are laid
     for pieces in PIECES if cut or UNSURE in whole.loose.values() else ():
-        if len(in_pieces(bodies, pieces)[1]) == count:
+        before, count = count, len(in_pieces(bodies, pieces)[1])
+        if count == before:  # too short a way to cut it further
             break
-        count = len(in_pieces(bodies, pieces)[1])
         laid = _laid_in_pieces(net, bodies, waiting, pieces)
         if len(laid.placed) < len(best[0].placed if best else whole.placed):
             continue
