@@ -51,6 +51,24 @@ def test_a_scan_knows_its_beams_its_host_its_odometry_and_where_the_sensor_stand
     assert log.odometry_from == "poses"
 
 
+def test_what_gmapping_writes_of_a_log_is_read_and_its_odometry_is_that_of_the_readings(tmp_path):
+    rows = ["PARAM particles 2", "ODOM 0 0 0 1.0", "ODO_UPDATE 2 0 0 0 0 0 0 0 0"]
+    rows += [f"LASER_READING 4 2 2.1 2.2 2.1 {0.1 * k} 0 {0.01 * k} {1 + k}" for k in range(3)]
+    log = read_laser(written(tmp_path, *rows, "SM_UPDATE 2 0 0 0 0 0 0 0 0", "NEFF 2", end=""))
+    assert log.scan_t.tolist() == [1.0, 2.0, 3.0]
+    np.testing.assert_allclose(np.stack([scan.odometry for scan in log.scans])[:, 0], [0.0, 0.1, 0.2])
+    assert np.allclose(np.degrees(log.scans[0].angles()), [-90, -45, 0, 45])
+    assert {kept.topic: kept.messages for kept in log.unused} == {
+        "PARAM": 1,
+        "ODOM": 1,
+        "ODO_UPDATE": 1,
+        "SM_UPDATE": 1,
+        "NEFF": 1,
+    }
+    with pytest.raises(ReaderError, match="LASER_READING says 5 ranges, found 4"):
+        read_laser(written(tmp_path, *rows, rows[-1].replace("READING 4", "READING 5"), rows[-1]))
+
+
 def test_odometry_comes_before_the_scan_of_its_stamp_and_a_repeated_stamp_keeps_its_last_row(tmp_path):
     log = read_laser(written(tmp_path, odom(1, 0.0), odom(2, 0.5), odom(2, 0.7), flaser(2, WALL), odom(3, 1.0)))
     events = list(log.events())

@@ -27,6 +27,18 @@ def test_a_written_graph_comes_back(tmp_path):
     assert (tmp_path / "a.g2o").read_text().splitlines()[-1] == "FIX 0"
 
 
+def test_a_graph_of_toro_says_the_same_with_its_numbers_in_another_order(tmp_path):
+    ours, theirs = tmp_path / "a.g2o", tmp_path / "a.graph"
+    ours.write_text("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0.5\nEDGE_SE2 0 1 1 0 0.5 11 12 13 22 23 33\n")
+    theirs.write_text("VERTEX2 0 0 0 0\nVERTEX2 1 1 0 0.5\nEDGE2 0 1 1 0 0.5 11 12 22 33 13 23\n")
+    assert np.linalg.eigvalsh(np.array([[11, 12, 13], [12, 22, 23], [13, 23, 33]]))[0] > 0
+    for name in PoseGraph.__slots__:
+        np.testing.assert_array_equal(getattr(read_g2o(theirs), name), getattr(read_g2o(ours), name))
+    theirs.write_text("VERTEX2 0 0 0 0\nEDGE2 0 1 1 0 0.5 1 0 1 1 0\n")
+    with pytest.raises(ReaderError, match="EDGE2 needs 11 finite numbers"):
+        read_g2o(theirs)
+
+
 def test_poses_without_a_vertex_are_reached_along_the_edges(tmp_path):
     path = tmp_path / "b.g2o"
     path.write_text("EDGE_SE2 10 20 1 0 1.5 1 0 0 1 0 1\nEDGE_SE2 30 20 0 2 0 1 0 0 1 0 1\n")

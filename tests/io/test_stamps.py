@@ -85,6 +85,15 @@ def test_odometry_rows_without_a_stamp_between_others_are_left_out_and_counted(j
     np.testing.assert_allclose([s.odometry[0] for s in log.scans[60:]], 0.04 * np.arange(60, 200), atol=1e-9)
 
 
+def test_odometry_rows_without_a_stamp_are_found_beside_one_that_is_early():
+    stamps = np.repeat(T, 2)
+    stamps[101::2] = 0.0
+    stamps[120] = stamps[134]  # as latest as any until there: rows before it are not on time
+    log = raw(T, stamps, own=False).finish()
+    assert log.dropped["odometry row whose time is not known"] == 150
+    assert log.odometry.t[0] == T[0]
+
+
 def test_rows_of_a_second_logger_whose_clock_is_behind_are_kept():
     both = np.column_stack([T, T + 0.1 - 60.0]).ravel()
     log = raw(T, both).finish()

@@ -194,6 +194,20 @@ def test_a_corridor_along_which_nothing_but_scans_tells_the_way_is_told_and_that
     assert "slides-alone" not in {f.code for f in map_laser(log, CFG, 0).findings}
 
 
+def test_a_short_way_along_one_wall_that_nothing_but_scans_tells_is_told():
+    rng, angle = np.random.default_rng(0), -np.pi + np.radians(np.arange(360))
+    raw = RawLog("1", "wall", "")
+    for t in np.arange(0.0, 4.0, 0.1).tolist():  # weaving along the wall y = 0, which shows nothing of how fast
+        y, heading = 0.5 - 0.1 * np.cos(0.8 * t), 0.3 * np.sin(0.8 * t)
+        with np.errstate(divide="ignore"):
+            r = -y / np.sin(angle + heading)
+        r = np.where((r > 0) & (r < 12.0), r + 0.02 * rng.standard_normal(360), np.inf)
+        raw.scans.append(RawScan(t, r, None, -np.pi, np.radians(1.0), 0.0, 12.0, np.zeros(3), odometry=None))
+    told = {f.code: f for f in map_laser(raw.finish(), CFG, 0).findings}
+    assert told["slides-alone"].value < 2.0
+    assert verdict(told.values()) == "doubtful"
+
+
 def test_a_short_way_that_the_wheels_tell_a_third_of_is_doubted():
     """As a camera's narrow view slides along one wall while the robot turns about."""
     t = 0.1 * np.arange(100)

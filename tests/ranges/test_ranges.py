@@ -12,11 +12,12 @@ from mapweave.core.findings import Finding, verdict
 from mapweave.core.records import Track
 from mapweave.io.pyfg import write_pyfg
 from mapweave.ranges import network as range_log
-from mapweave.ranges.estimate import RangeEstimate, _mirrored, _of_layout, estimate
+from mapweave.ranges import start
+from mapweave.ranges.estimate import RangeEstimate, _laid_in_pieces, _mirrored, _start_at, estimate
 from mapweave.ranges.factors import RadioColumns, lasting, motion_factor, range_factor
-from mapweave.ranges.network import Motions, RangeLog, RangeNetwork, Ranges, bodies_of, network_of
+from mapweave.ranges.network import Motions, RangeLog, RangeNetwork, Ranges, bodies_of, in_pieces, network_of
 from mapweave.ranges.noise import RadioNoise, unlikely
-from mapweave.ranges.start import lay_out, placements
+from mapweave.ranges.start import BodyLayout, ColdStart, placements
 from mapweave.sim.mixed_team import MixedWorld, simulate_mixed
 
 from ..differences import assert_derivative
@@ -77,7 +78,8 @@ def test_the_mirror_image_is_tried_of_a_team_that_drove_straight_though_its_odom
     bent = replace(log.odometry["robot1"], pose=wandering)
     net = network_of(replace(log, odometry={**log.odometry, "robot1": bent}))
     bodies = bodies_of(net)
-    best = _of_layout(net, bodies, lay_out(net, bodies, list(range(len(bodies.turns)))).layouts[0])
+    laid = _laid_in_pieces(net, bodies, range(len(bodies.turns)), 1)
+    best = _start_at(net, bodies, laid.nodes, laid.poses[0])
     image = _mirrored(net, bodies, best)
     assert (image is not None) == straight
     if image is not None:
@@ -199,6 +201,55 @@ def test_a_beacon_beside_a_straight_way_is_placed_and_its_mirror_image_is_told()
     part = estimate(network_of(ranged(truth, {"beacon1": (2.0, 3.0)}))).parts[0]
     assert len(part.mirrored) == 1
     assert {round(part.pose[-1, 1]), round(part.mirrored[0][-1, 1])} == {-3, 3}
+
+
+@pytest.mark.slow
+def test_odometry_whose_heading_drifts_by_radians_places_every_beacon_all_the_same():
+    """Laid as a whole the way fits a beacon nowhere, and another where it is not."""
+    laps = np.tile([[0.0, 0.0], [30.0, 0.0], [30.0, 20.0], [0.0, 20.0]], (4, 1))
+    truth = {"robot1": driven(laps, (0.0, 0.0, 0.0), 150.0)}
+    beacons = {"beacon1": (10.0, 8.0), "beacon2": (40.0, 10.0), "beacon3": (5.0, 30.0)}
+    log = ranged(truth, beacons, noise=0.3)
+    log = replace(log, **{name: getattr(log, name)[::3] for name in ("a", "b", "t", "z")})
+    odometry = log.odometry["robot1"]
+    step = np.asarray(se2.between(odometry.pose[:-1], odometry.pose[1:]))
+    step[:, 2] += 0.01 * np.hypot(step[:, 0], step[:, 1])
+    pose = np.zeros((len(odometry.t), 3))
+    for k in range(len(step)):
+        pose[k + 1] = se2.compose(pose[k], step[k])
+    net = network_of(replace(log, odometry={"robot1": Track(odometry.t, pose)}))
+    found = estimate(net)
+    assert not found.loose
+    assert max(misses(net, found, truth, beacons).values()) < 0.3
+    assert verdict(_findings(net, found)) == "good"
+
+
+def test_ways_in_pieces_are_of_equal_length_and_beacons_stay_whole():
+    far = {"robot1": driven(10.0 * SQUARE, (0.0, 0.0, 0.0)), "robot2": driven(3.0 * LINE, (0.0, 0.0, 0.0))}
+    bodies = bodies_of(network_of(ranged(far, BEACONS)))
+    fine, whose = in_pieces(bodies, 4)
+    assert np.bincount(whose).tolist() == [4, 1, 1, 1]  # 18 m are not cut
+    np.testing.assert_array_equal(whose[fine.of], bodies.of)
+    np.testing.assert_array_equal(fine.pose, bodies.pose)
+    for piece in np.flatnonzero(fine.turns).tolist():
+        of = bodies.of == whose[piece]
+        here = fine.of == piece
+        whole, part = (np.hypot(*np.diff(bodies.pose[k, :2], axis=0).T).sum() for k in (of, here))
+        assert part == pytest.approx(whole / (whose == whose[piece]).sum(), rel=0.05)
+
+
+def test_layouts_in_which_the_robot_that_most_ranged_to_is_not_placed_lie_in_the_frame_of_another(monkeypatch):
+    net = network_of(ranged(TWO, BEACONS))
+    moved = np.array([1.0, 2.0, 0.5])
+    layouts = {
+        0: BodyLayout({0: np.zeros(3)}, 0.0),
+        1: BodyLayout({1: moved, 2: np.ones(3)}, 0.0),
+    }
+    monkeypatch.setattr(start, "_laid_from", lambda first, *_: ColdStart((layouts[first],), {}))
+    monkeypatch.setattr(start, "_firsts", lambda *_: [0, 1])
+    laid = start.lay_out(net, bodies_of(net), [0, 1, 2, 3]).layouts
+    assert [set(layout.frames) for layout in laid] == [{1, 2}]
+    np.testing.assert_allclose(se2.between(laid[0].frames[1], laid[0].frames[2]), se2.between(moved, np.ones(3)))
 
 
 def test_a_robot_that_stands_is_placed_and_its_heading_told_to_be_unobserved():

@@ -1,4 +1,4 @@
-"""CARMEN text logs: FLASER, RLASER, ODOM and ROBOTLASER with remission."""
+"""CARMEN text logs: FLASER, RLASER, ODOM and ROBOTLASER with remission; and what GMapping writes of them (`.gfs`)."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -12,7 +12,9 @@ from ..core.laser_log import LaserLog
 from .assemble import UNSOUND, RawLog, RawScan, is_sound, median_pose
 from .files import TextFormat, TextLog, is_number
 
-KEYWORDS = ("FLASER", "RLASER", "ROBOTLASER1", "ROBOTLASER2", "ODOM")
+READING = "LASER_READING"  # of GMapping
+SCANS = ("FLASER", "RLASER", "ROBOTLASER1", "ROBOTLASER2", READING)
+KEYWORDS = (*SCANS, "ODOM")
 OTHER = (  # what robots of this kind write beside, in any number before the first scan
     *("PARAM", "SYNC", "NEFF", "TRUEPOS", "MARKER", "MESSAGE_NAME", "BUMPER", "SONAR", "IMU", "NMEAGGA", "NMEARMC"),
     *(f"RAWLASER{k}" for k in range(1, 6)),
@@ -39,12 +41,15 @@ def read_carmen(
     raw = RawLog(robot, str(log.path), log.log_hash, odometry_from="poses")
     kinds: list[str] = []
     other: Counter[str] = Counter()
+    rows = log.rows()
+    # GMapping's rows of odometry bear the stamp of the reading after the one whose pose they tell
+    late = next((words[0] for _, words in rows if words[0] in SCANS), "") == READING
 
     def take(words: list[str]) -> None:
-        if words[0] == "ODOM":
+        if words[0] == "ODOM" and not late:
             raw.odometry.append(_odometry(words))
-        elif words[0] in KEYWORDS:
-            scan = _robotlaser(words) if words[0].startswith("ROBOT") else _flaser(words)
+        elif words[0] in SCANS:
+            scan = _READ[words[0]](words)
             if is_sound(scan):
                 raw.scans.append(scan)
                 kinds.append(words[0])
@@ -53,7 +58,7 @@ def read_carmen(
         elif words[0].isupper():
             other[words[0]] += 1
 
-    raw.read_rows(log, log.rows(), take)
+    raw.read_rows(log, rows, take)
     raw.unused = [
         Unused(raw.source, kind, kind, n, "rows of no kind that is read") for kind, n in sorted(other.items())
     ]
@@ -91,19 +96,24 @@ def _flaser(words: list[str]) -> RawScan:
     if n < 2 or not 7 <= len(tail) <= 9 or not all(map(is_number, tail[:7])):
         raise ValueError(f"{words[0]} says {n} ranges, found {max(0, len(words) - 11)}")
     ranges, numbers = _numbers(words[2 : 2 + n]), _numbers(tail[:7])
-    increment = np.pi / n if n % 2 == 0 else np.pi / (n - 1)
-    return RawScan(
-        float(numbers[6]),
-        ranges,
-        None,
-        -np.pi / 2,
-        increment,
-        0.0,
-        NO_RETURN,
-        sensor_place(numbers[3:6], numbers[0:3]),
-        tail[7] if len(tail) > 7 else "",
-        numbers[3:6],
-    )
+    host = tail[7] if len(tail) > 7 else ""
+    return _front(ranges, numbers[3:6], sensor_place(numbers[3:6], numbers[0:3]), float(numbers[6]), host)
+
+
+def _reading(words: list[str]) -> RawScan:
+    """`LASER_READING n r.. odom_x odom_y odom_th stamp`, which does not tell where the laser stands."""
+    n = _announced(words, 1, "ranges")
+    if n < 2 or len(words) != 6 + n:
+        raise ValueError(f"{words[0]} says {n} ranges, found {max(0, len(words) - 6)}")
+    numbers = _numbers(words[2:])
+    return _front(numbers[:n], numbers[n : n + 3], np.zeros(3), float(numbers[n + 3]), "")
+
+
+def _front(ranges: np.ndarray, odometry: np.ndarray, T_robot_sensor: np.ndarray, t: float, host: str) -> RawScan:
+    """A scan of the half plane ahead."""
+    n = len(ranges)
+    step = np.pi / n if n % 2 == 0 else np.pi / (n - 1)
+    return RawScan(t, ranges, None, -np.pi / 2, step, 0.0, NO_RETURN, T_robot_sensor, host, odometry)
 
 
 def _robotlaser(words: list[str]) -> RawScan:
@@ -132,6 +142,15 @@ def _robotlaser(words: list[str]) -> RawScan:
         tail[12] if len(tail) > 12 else "",
         numbers[3:6],
     )
+
+
+_READ = {
+    "FLASER": _flaser,
+    "RLASER": _flaser,
+    "ROBOTLASER1": _robotlaser,
+    "ROBOTLASER2": _robotlaser,
+    READING: _reading,
+}
 
 
 @np.errstate(over="ignore", invalid="ignore")

@@ -1,5 +1,6 @@
 """Pose graphs as g2o text: `VERTEX_SE2 i x y theta`, `EDGE_SE2 i j dx dy dtheta I11 I12 I13 I22 I23 I33`.
 
+TORO's are read too: `VERTEX2 i x y theta`, `EDGE2 i j dx dy dtheta I11 I12 I22 I33 I13 I23`.
 A graph in memory is checked by the same rules.
 """
 
@@ -23,6 +24,8 @@ from .table import Columns, Table, array_of, column_names, is_table, open_text, 
 
 VERTEX, EDGE, PRIOR, FIX = "VERTEX_SE2", "EDGE_SE2", "EDGE_PRIOR_SE2", "FIX"
 NUMBERS = {VERTEX: (1, 3), EDGE: (2, 9), PRIOR: (1, 9)}  # ids, then numbers, in a row of each kind
+TORO = {"VERTEX2": VERTEX, "EDGE2": EDGE}
+TORO_UPPER = [0, 1, 2, 3, 4, 7, 5, 8, 6]  # its numbers of an edge in the order of ours
 AGREE = chi2_quantile(1.0 - 1e-6, 3.0)  # squared sd by which two priors of one vertex may differ
 UPPER = np.triu_indices(3)
 LARGEST = 2**63  # an id is less
@@ -145,7 +148,7 @@ def _rows(path: Path) -> GraphRows:
         words = text.split()
         if not words or words[0].startswith("#"):
             continue
-        kind = words[0]
+        kind = TORO.get(words[0], words[0])
         if kind == FIX:
             out.fixed |= dict.fromkeys(_ids(path, kind, words[1:], line), line)
             continue
@@ -156,7 +159,9 @@ def _rows(path: Path) -> GraphRows:
         ids = _ids(path, kind, words[1 : 1 + n], line)
         values = _finite(words[1 + n :])
         if len(ids) != n or len(values) != m:
-            raise ReaderError(path, f"{kind} needs {n + m} finite numbers, found {text[:60]!r}", line)
+            raise ReaderError(path, f"{words[0]} needs {n + m} finite numbers, found {text[:60]!r}", line)
+        if kind == EDGE and words[0] in TORO:
+            values = [values[k] for k in TORO_UPPER]
         _take(path, out, kind, ids, values, line)
     if log.truncated:
         raise ReaderError(path, log.truncated)

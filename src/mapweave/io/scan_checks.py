@@ -498,8 +498,9 @@ def stampless(t: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     A second logger's rows between those of a first may be far behind, and their stamps go on.
     """
     latest = np.append(t[0], np.maximum.accumulate(t)[:-1])
+    settled = np.append(np.full(min(LATE, len(t)), t[0]), latest[:-LATE])  # a row just before may be early
     soon = np.lib.stride_tricks.sliding_window_view(np.append(t[1:], np.full(A_FEW, np.inf)), A_FEW).max(axis=1)
-    alone = (t < latest) & (soon >= latest)
+    alone = (t < latest) & (soon >= settled)
     others, before = t[~alone], np.cumsum(~alone)[alone]
     alone[alone] = t[alone] < others[np.maximum(before - LATE, 0)]
     goes_on = np.diff(t[alone]) > 0

@@ -71,7 +71,8 @@ NEAR_ZERO = np.array([0.2, 0.2, 0.1])  # [m, m, rad] that the wheels tell at mos
 ALONE_WIDE = 0.6  # [rad] from one scan to the next that nothing but they tell: rooms alike pass for each other
 
 SLIDE_SD = 0.02  # [m] of the step from keyframe to keyframe: walls tell it to 0.005, wheels would to 0.025
-SLIDE_WAY = 2.0  # [m] of such steps in all: a few in a doorway do not matter
+SLIDE_WAY = 2.0  # [m] of such steps in all: a few in a doorway do not matter,
+SLIDE_SHARE = 0.5  # but where they are so much of the way, which scans then tell too short
 
 JUMP_DROP = 0.4  # of the share of returns on known walls from one scan to the next, and
 DROP_PER_M = 1.0  # so much more for a metre between the two and
@@ -234,7 +235,8 @@ def slides_alone(graph: RobotGraph, scans: Sequence[Scan], robot: str) -> tuple[
     sd = np.sqrt(np.linalg.eigvalsh(np.linalg.inv(graph.step_information)[:, :2, :2])[:, 1])
     loose = np.flatnonzero((sd > SLIDE_SD) & np.array([not why for why in graph.border[1:]], bool))
     way = float(np.hypot(*graph.step[loose, :2].T).sum())
-    if way >= SLIDE_WAY:
+    whole = float(np.hypot(*graph.step[:, :2].T).sum())
+    if way >= SLIDE_WAY or way > SLIDE_SHARE * whole:
         return (Finding("slides-alone", robot, (float(graph.t[loose[0]]), float(graph.t[loose[-1] + 1])), way),)
     along, across = np.linalg.eigvalsh(graph.normals.T @ graph.normals)
     if graph.path[-1] >= SLIDE_WAY or along > STEP_NOISE_BLUR * (along + across):

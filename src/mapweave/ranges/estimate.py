@@ -14,7 +14,7 @@ of another scale for a while: all that is found with the rest (`factors.RadioCol
 Position fixes are one more factor of the same problem, which then lies in their world.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -48,9 +48,9 @@ from .factors import (
     range_factor,
 )
 from .fixes import FAR2, Laid, Sights, lay_among
-from .network import Bodies, Motions, Priors, RangeNetwork, Ranges, StampShift, bodies_of
+from .network import Bodies, Motions, Priors, RangeNetwork, Ranges, StampShift, bodies_of, in_pieces
 from .noise import SHRUNK, RadioNoise, loosened, spread_of, unlikely, windows_of
-from .start import LEAD, LEAST, ROUGH, BodyLayout, lay_out, placements
+from .start import LEAD, LEAST, ROUGH, UNSURE, lay_out, placements
 
 FIRST_SD = 0.15  # [m] noise of a range before residuals tell it
 BIAS_SD = 0.3  # [m] of what the biases of all pairs have in common: antennas whose delay nobody trimmed
@@ -72,6 +72,7 @@ CUTS = 12  # times spread over a track at which it is tried to be cut,
 LOOKED = 60  # by so many ranges before and after
 SHORT, SHORT_SHARE = 0.3, 0.02  # [m] by which ranges are too short, which no wall makes them, and their share to look
 CUT_GAIN = 0.02  # share of a track's ranges that must agree with its two parts beside those that agree with the whole
+PIECES = (4, 16)  # in which ways are laid that drift too far to be laid as wholes
 MOST_TIED = 4  # layouts that are worked out whole, to see which explains the ranges best
 SOLVE = SolveConfig(max_iterations=30, damping=1e-4, step_tolerance=1e-5, cost_tolerance=1e-6)
 
@@ -156,6 +157,10 @@ class LaidParts(NamedTuple):
 def estimate(net: RangeNetwork) -> RangeEstimate:
     """All trajectories and beacons of `net`, in as many parts as ranges leave, without the motions that ranges deny."""
     found = _worked_out(net)
+    if _too_short(found.far, found.residual):
+        again = _worked_out(net, cut=True)
+        if again.cost < found.cost - LEAD and not again.loose.keys() - found.loose.keys():
+            found = again
     for _ in range(MOST_CUTS):
         k = _denied(net.without(found.denied), found)
         if k is None:
@@ -235,8 +240,17 @@ def _agreeing(
     return np.asarray(np.abs(off - np.median(off[looked])) < 3 * ROUGH)
 
 
-def _worked_out(net: RangeNetwork) -> RangeEstimate:
-    """All trajectories and beacons of `net`, in as many parts as ranges leave."""
+def _too_short(far: Bool[np.ndarray, " k"], residual: Float[np.ndarray, " k"]) -> bool:
+    """Whether ranges were rejected that are too short, which no wall makes them: somebody lies elsewhere."""
+    return bool((far & (residual < 0)).sum() > SHORT_SHARE * np.isfinite(residual).sum())
+
+
+def _worked_out(net: RangeNetwork, *, cut: bool = False) -> RangeEstimate:
+    """All trajectories and beacons of `net`, in as many parts as ranges leave.
+
+    Odometry that drifts by metres fits no beacon anywhere, as if it told too little. Ever shorter pieces of ways are
+    laid as if they were bodies then, or where ways are to be `cut`: the beacons that one finds place the next.
+    """
     bodies = bodies_of(net)
     residual, far = np.full(len(net.ranges), np.nan), np.zeros(len(net.ranges), bool)
     parts: list[PlacedPart] = []
@@ -246,8 +260,7 @@ def _worked_out(net: RangeNetwork) -> RangeEstimate:
     waiting = list(range(len(bodies.turns)))
     robots = set(np.unique(bodies.of[~net.is_beacon]).tolist())
     while robots & set(waiting):
-        start = lay_out(net, bodies, waiting)
-        solved = sorted((_of_layout(net, bodies, layout) for layout in start.layouts[:MOST_TIED]), key=lambda s: s.cost)
+        start, solved = _laid_and_solved(net, bodies, waiting, cut=cut)
         if (image := _mirrored(net, bodies, solved[0])) is not None:
             solved = sorted([*solved, _start_at(net, bodies, solved[0].nodes, image)], key=lambda s: s.cost)
         best = solved[0]
@@ -261,7 +274,7 @@ def _worked_out(net: RangeNetwork) -> RangeEstimate:
         radios += best.radios()
         residual[best.rows], far[best.rows] = best.noise.residual, best.noise.far
         loose |= start.loose
-        waiting = [body for body in waiting if body not in start.layouts[0].frames]
+        waiting = [body for body in waiting if body not in start.placed]
     parts.sort(key=_largest_first(net))
     apart = {net.everybody[net.owner[k]] for part in parts[1:] for k in part.nodes.tolist()}
     told = {net.everybody[net.owner[np.argmax(bodies.of == body)]]: why for body, why in loose.items()}
@@ -471,12 +484,59 @@ class _Solved:
         ]
 
 
-def _of_layout(net: RangeNetwork, bodies: Bodies, layout: BodyLayout) -> _Solved:
-    """The team worked out from `layout`."""
-    nodes = np.flatnonzero(np.isin(bodies.of, list(layout.frames)))
-    frames = np.zeros((len(bodies.turns), 3))
-    frames[list(layout.frames)] = np.array(list(layout.frames.values()))
-    return _start_at(net, bodies, nodes, se2.compose(frames[bodies.of[nodes]], bodies.pose[nodes]))
+class _Laid(NamedTuple):
+    """The bodies `placed`, whose `nodes` may begin at any of `poses`, and why others are loose."""
+
+    placed: Collection[int]
+    nodes: Int[np.ndarray, " n"]
+    poses: list[Float[np.ndarray, "n 3"]]
+    loose: Mapping[int, str]
+
+
+def _laid_and_solved(
+    net: RangeNetwork, bodies: Bodies, waiting: Sequence[int], *, cut: bool
+) -> tuple[_Laid, list[_Solved]]:
+    """How the bodies `waiting` lie that ranges place, worked out from each of the layouts, the likeliest first."""
+    best: tuple[_Laid, list[_Solved]] | None = None
+    whole, count = _laid_in_pieces(net, bodies, waiting, 1), len(bodies.turns)  # how many are laid
+    for pieces in PIECES if cut or UNSURE in whole.loose.values() else ():
+        before, count = count, len(in_pieces(bodies, pieces)[1])
+        if count == before:  # too short a way to cut it further
+            break
+        laid = _laid_in_pieces(net, bodies, waiting, pieces)
+        if len(laid.placed) < len(best[0].placed if best else whole.placed):
+            continue
+        solved = sorted((_start_at(net, bodies, laid.nodes, pose) for pose in laid.poses), key=lambda s: s.cost)
+        if best is None or len(laid.placed) > len(best[0].placed) or solved[0].cost < best[1][0].cost:
+            best = laid, solved
+        if UNSURE not in laid.loose.values() and not _too_short(solved[0].noise.far, solved[0].noise.residual):
+            break
+    if best is not None and (cut or len(best[0].placed) > len(whole.placed)):
+        return best
+    return whole, sorted((_start_at(net, bodies, whole.nodes, pose) for pose in whole.poses), key=lambda s: s.cost)
+
+
+def _laid_in_pieces(net: RangeNetwork, bodies: Bodies, waiting: Sequence[int], pieces: int) -> _Laid:
+    """How the bodies `waiting` may lie, ways in so many pieces.
+
+    One that ranges do not place goes on from the one before it, or else leads to the next.
+    """
+    fine, whose = in_pieces(bodies, pieces)
+    start = lay_out(net, fine, np.flatnonzero(np.isin(whose, waiting)).tolist())
+    known = np.array(sorted(start.layouts[0].frames))
+    placed = np.unique(whose[known])
+    nodes = np.flatnonzero(np.isin(bodies.of, placed))
+    like = np.arange(len(whose))
+    for k in np.setdiff1d(np.flatnonzero(np.isin(whose, placed)), known).tolist():
+        mine = known[whose[known] == whose[k]]
+        like[k] = mine[max(int(np.searchsorted(mine, k)) - 1, 0)]
+    poses = []
+    for layout in start.layouts[:MOST_TIED]:
+        frames = np.zeros((len(whose), 3))
+        frames[list(layout.frames)] = np.array(list(layout.frames.values()))
+        poses.append(np.asarray(se2.compose(frames[like[fine.of[nodes]]], bodies.pose[nodes])))
+    loose = {int(whose[k]): why for k, why in start.loose.items() if whose[k] not in placed}
+    return _Laid(placed.tolist(), nodes, poses, loose)
 
 
 def _start_at(

@@ -193,6 +193,28 @@ def bodies_of(net: RangeNetwork) -> Bodies:
     return Bodies(of, pose, turns)
 
 
+PIECE = 10.0  # [m] of way that a piece has at least: odometry drifts less on shorter ones than their places are open
+
+
+def in_pieces(bodies: Bodies, pieces: int) -> tuple[Bodies, Int[np.ndarray, " m"]]:
+    """`bodies` of which each that moves is cut into up to `pieces` of equal way, and of which body each piece is.
+
+    Poses stay in the frames of the bodies: a piece laid where the one before it lies goes on as its odometry does.
+    """
+    place = np.zeros(len(bodies.of), np.int64)
+    for body in np.flatnonzero(bodies.turns).tolist():
+        rows = np.flatnonzero(bodies.of == body)
+        way = np.append(0.0, np.cumsum(np.hypot(*np.diff(bodies.pose[rows, :2], axis=0).T)))
+        n = max(1, min(pieces, int(way[-1] / PIECE)))
+        place[rows] = np.minimum(n * way / way[-1], n - 1).astype(np.int64)
+    keys, of = np.unique(np.column_stack([bodies.of, place]), axis=0, return_inverse=True)
+    of = of.ravel()
+    turns = np.zeros(len(keys), bool)
+    for piece in np.flatnonzero(bodies.turns[keys[:, 0]]).tolist():
+        turns[piece] = bool(np.ptp(bodies.pose[of == piece, :2], axis=0).max() > STANDING)
+    return Bodies(of, bodies.pose, turns), keys[:, 0]
+
+
 STEP = 0.25  # [s] between two poses that are estimated, at least; between, odometry carries a range's ends
 BEYOND = 0.3  # [s] before the first odometry or after the last in which a robot is taken to be where that is
 SILENT = 2.0  # [s] without odometry, and that many times its usual interval, from which it does not tell the way

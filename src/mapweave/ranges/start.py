@@ -28,6 +28,7 @@ MOST_KEPT = 24  # hypotheses of the whole team followed at once
 BEGINNERS = 3  # bodies from which layouts are begun, in turn
 SURE_XY, SURE_THETA = 1.5, 0.6  # [m], [rad] sd beyond which ranges do not place a body
 LEAST = 6  # ranges that place a body, a beacon takes two less
+UNSURE = "too little motion: its ranges fit along a line"  # why a body is loose, though it has ranges enough
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,11 +70,12 @@ def lay_out(net: RangeNetwork, bodies: Bodies, members: Sequence[int]) -> ColdSt
     starts = [_laid_from(first, net, bodies, members) for first in firsts]
     most = max(starts, key=lambda start: len(start.layouts[0].frames))
     middle = {k: bodies.pose[bodies.of == k, :2].mean(axis=0) for k in most.layouts[0].frames}
+    holds = next(k for k in (*firsts, *middle) if k in middle)
     layouts: list[BodyLayout] = []
     for one in (one for rank in zip_longest(*(start.layouts for start in starts)) for one in rank):
         if one is None or one.frames.keys() != middle.keys():
             continue
-        to = se2.inverse(one.frames[firsts[0]])
+        to = se2.inverse(one.frames[holds])
         moved = BodyLayout({k: np.asarray(se2.compose(to, T)) for k, T in one.frames.items()}, one.cost)
         if not any(all(_alike(moved.frames[k], a.frames[k], middle[k]) for k in middle) for a in layouts):
             layouts.append(moved)
@@ -120,7 +122,7 @@ def _laid_from(first: int, net: RangeNetwork, bodies: Bodies, members: Sequence[
             break
         (unsure, _, _), body, ways = min(tried, key=lambda one: one[0])
         if unsure:
-            loose |= {b: "too little motion: its ranges fit along a line" for _, b, _ in tried}
+            loose |= {b: UNSURE for _, b, _ in tried}
             break
         loose.pop(body, None)
         waiting.remove(body)
