@@ -342,6 +342,35 @@ def test_places_that_look_alike_metres_away_do_not_outvote_right_steps():
     assert np.allclose(se2.between(true, graph.pose), 0.0, atol=1e-3)
 
 
+MANY_LOOPS = [(k, k + 30) for k in range(1, 28)]
+
+
+@pytest.mark.parametrize("many", [True, False])
+def test_a_robot_that_slid_by_metres_stands_where_a_score_of_places_says_and_two_of_the_corridor_are_not_believed(many):
+    graph, true = graph_with()
+    slid = se2.compose(graph.nodes[30].step, np.array([2.2, 0.0, 0.0]))
+    graph.nodes[30] = graph.nodes[30]._replace(step=np.asarray(slid))
+    graph.pose[30:] = se2.compose(se2.compose(true[29], slid), se2.between(true[30], true[30:]))
+    for a, b in [(26, 34), (27, 36)]:
+        graph.tie(a, b, match(a, b, se2.between(graph.pose[a], graph.pose[b])))
+    for a, b in MANY_LOOPS[:: 1 if many else 5]:
+        graph.tie(a, b, match(a, b, se2.between(true[a], true[b])))
+    graph.settle()
+    assert (30 in graph.contradicted) == many
+    assert [c.accepted for c in graph.closures] == [not many] * 2 + [many] * (len(graph.closures) - 2)
+    assert (np.hypot(*(graph.pose - true)[32:, :2].T).max() < 0.1) == many
+
+
+@pytest.mark.parametrize("away", [3.5, 5.0])
+def test_a_score_of_places_that_look_alike_metres_away_does_not_outvote_right_steps(away):
+    graph, true = graph_with()
+    for a, b in MANY_LOOPS:
+        graph.tie(a, b, match(a, b, se2.compose(np.array([away, 0.0, 0.0]), se2.between(true[a], true[b]))))
+    graph.settle()
+    assert not graph.contradicted
+    assert not any(c.accepted for c in graph.closures)
+
+
 def test_over_a_gap_places_where_the_wheels_lead_win_against_many_that_look_alike():
     graph, true = graph_with()
     graph.nodes[30] = graph.nodes[30]._replace(border=GAP, cov=border_covariance(graph.nodes[30].step, GAP))

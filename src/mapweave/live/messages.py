@@ -14,6 +14,7 @@ import re
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import msgspec
@@ -473,6 +474,7 @@ KINDS: Mapping[str, Kind] = {
     "f": Kind(_bits, _of_bits),
 }
 EXACT = "d"
+KEPT_COLUMNS, KEPT_LONGEST = 1024, 1500  # columns of messages kept as they were read, and numbers in one: 12 MB at most
 
 
 def squeeze(values: Float[np.ndarray, " n"]) -> bytes:
@@ -500,7 +502,19 @@ def squeeze(values: Float[np.ndarray, " n"]) -> bytes:
 
 
 def stretch(data: bytes, n: int) -> Float[np.ndarray, " n"]:
-    """The n numbers of `squeeze`; raises RefusedError when they are not n or not finite."""
+    """The n numbers of `squeeze`; raises RefusedError when they are not n or not finite.
+
+    Who checks a message and who reads it next ask for the same numbers: of columns of ordinary length they are kept.
+    """
+    return _kept_stretched(data, n) if n <= KEPT_LONGEST else _stretched(data, n)
+
+
+@lru_cache(KEPT_COLUMNS)
+def _kept_stretched(data: bytes, n: int) -> Float[np.ndarray, " n"]:
+    return _stretched(data, n)
+
+
+def _stretched(data: bytes, n: int) -> Float[np.ndarray, " n"]:
     letter = data[:1].decode("ascii", errors="replace")
     if letter != EXACT and letter.lower() not in KINDS:
         raise RefusedError("malformed", "a column of no known kind")

@@ -429,7 +429,9 @@ class KeyframeGraph:
         lost = {k - both.edges for k in gone if k >= both.edges} - dropped
         runs = np.split(np.array(wrong, dtype=np.int64), np.flatnonzero(np.diff(wrong) >= ALONE) + 1)
         far = sorted(float(np.sqrt(decided.nis[run]).sum()) for run in runs)
-        slipped = not wrong or (max(far[:-1], default=0.0) <= SLIPPED and far[-1] <= (SLID if gained >= MANY else SLIPPED))
+        slipped = not wrong or (
+            max(far[:-1], default=0.0) <= SLIPPED and far[-1] <= (SLID if gained >= MANY else SLIPPED)
+        )
         if not wrong or LOST * len(lost) > gained or not slipped or gained < OUTWEIGHED * len(runs):
             return frozenset()
         return frozenset(int(steps.second[k]) for k in wrong)
