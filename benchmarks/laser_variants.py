@@ -3,8 +3,8 @@
     MAPWEAVE_DATA=.. python benchmarks/laser_variants.py [--only NAME]... [--share 1.0]
 
 A row a variant: which robots hang together, mean and greatest error on the known relations that both ends of have a
-pose for (of robots in one component together), processor seconds, what was warned of beyond what the log itself is
-warned of, and for each pair of robots whether they were merged. --share: of the log, from its beginning.
+pose for (of robots in one component together), processor seconds, the verdict, findings beyond those of the log itself
+by their codes, and for each pair of robots whether they were merged. --share: of the log, from its beginning.
 """
 
 import argparse
@@ -15,6 +15,7 @@ import resource
 import subprocess
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,6 +29,7 @@ from mapweave.evaluation.trajectory import score_relations
 from mapweave.io.landmark_truth import read_relations
 
 NO_RETURN = 81.83  # [m]
+USUAL = {"light-unused", "stamps-mixed"}  # findings of the log as it is
 
 
 @dataclass(frozen=True)
@@ -176,7 +178,7 @@ def main() -> None:
     rows = read(carmen / "intel.clf.gz")
     rows = part(rows, 0.0, args.share) if args.share < 1.0 else rows
     known = read_relations(carmen / "intel.relations.gz")
-    line("variant", "components", "relations", "mean [m]", "greatest [m]", "CPU [s]", "warned of, decisions")
+    line("variant", "components", "relations", "mean [m]", "greatest [m]", "CPU [s]", "verdict, findings, decisions")
     line(*["---"] * 7)
     for name in args.only or VARIANTS:
         with tempfile.TemporaryDirectory() as folder:
@@ -199,13 +201,12 @@ def main() -> None:
                 at = here / "out" if k == 1 else here / "out" / "components" / str(k)
                 score = score_relations(track(at, robots), relations_of(name, robots, rows, known))
                 scores.append((score.used, score.trans_mean or 0.0, score.trans_max or 0.0))
+            codes = Counter(f["code"] for f in told["findings"] if f["code"] not in USUAL)
             said = [
-                f"{key}: {text}"
-                for key, one in told["robots"].items()
-                for text in one["warnings"]
-                if "intensity of returns is not used" not in text and "poses have stamps of one moment" not in text
+                told["verdict"],
+                *(code if n == 1 else f"{code} x{n}" for code, n in codes.items()),
+                *(f"{m['a']} and {m['b']}: {m['decision']}, {m['reason']}" for m in told["fusion"]),
             ]
-            said += [f"{m['a']} and {m['b']}: {m['decision']}, {m['reason']}" for m in told["fusion"]]
             used, mean, most = (" + ".join(f"{s[k]:{'d' if k == 0 else '.4f'}}" for s in scores) for k in range(3))
             together = " / ".join("+".join(robots) for robots in told["components"])
             line(name, together, used, mean, most, cpu, "; ".join(said))

@@ -324,6 +324,25 @@ def test_a_way_bent_within_what_its_steps_may_err_by_or_over_a_border_is_not_tol
     assert way_bent(straight(n=4)) == ()
 
 
+@pytest.mark.parametrize(("pull", "places", "told"), [(2.8, 20, False), (2.8, 18, True), (3.5, 20, True)])
+def test_a_way_that_a_score_of_places_pull_by_metres_was_driven_by_a_robot_that_slid_and_is_mended(pull, places, told):
+    over = [(k % 8, 50 + k % 9) for k in range(places)]
+    within = [(12, 30), (15, 58)] * 10  # of one side of it alone, they tell nothing of all of it
+    graph = replace(bent(pull), closures=straight(closures=[*over, *within], n=60).closures)
+    assert bool(way_bent(graph)) == told
+
+
+@pytest.mark.parametrize(("by", "told"), [(1.2, True), (0.8, False)])
+def test_a_slide_that_places_contradict_and_that_was_laid_upon_one_step_is_told_with_when(by, told):
+    graph = bent(0.0)
+    pose = np.array(graph.pose)
+    pose[30:, 0] -= by
+    found = way_bent(replace(graph, pose=pose, border=tuple("contradicted" if k == 30 else "" for k in range(60))))
+    assert [(f.code, f.severity, f.span) for f in found] == [("way-slid", "doubtful", (29.0, 30.0))] * told
+    assert [f.value for f in found] == [pytest.approx(by)] * told
+    assert way_bent(replace(graph, pose=pose, border=tuple("slip" if k == 30 else "" for k in range(60)))) == ()
+
+
 def test_a_way_whose_covariances_say_that_it_may_be_off_by_metres_is_told_with_when():
     graph = straight(n=60)
     cov = np.tile(np.diag([1e-4, 1e-4, 1e-6]), (60, 1, 1))

@@ -129,6 +129,7 @@ TOLD = {  # code of a finding: the cause that it is a sign of by itself
 WEAK = {  # where nothing else shows
     "wheels-disagree": "slip",
     "way-bent": "symmetry",
+    "way-slid": "corridor",
     "walls-seen-through": "symmetry",
     "walls-twice": "symmetry",
 }

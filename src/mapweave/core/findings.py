@@ -120,6 +120,13 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "tell nothing.",
             "Look at the map there; say which places are false with `mapweave edit`.",
         ),
+        "way-slid": FindingKind(
+            "doubtful",
+            "places say that it slid by {value:.1f} m about then; when is not known, scans there may be as far off",
+            "Along walls that tell nothing, as in a bare corridor, scans were matched to where they do not lie, for "
+            "some seconds. Many places hold what came before and what came after.",
+            "Look at the map there; mask what is wrong with `mapweave edit`, or drive there again.",
+        ),
         "way-loose": FindingKind(
             "doubtful",
             "where it was then is known to {value:.1f} m (one standard deviation)",

@@ -58,6 +58,8 @@ DISPUTED_XY, DISPUTED_TURN = 0.5, 0.5  # [m] or [rad]: over few metres wheels th
 CARRIED_BY = {"scene-jump", "scene-change", "wheels-leap", "wheels-set"}  # codes of what tells that it is elsewhere
 STRETCHES = (10, 20, 40)  # steps of a trajectory that places may have bent,
 BENT, BENT_SDS = 0.5, 5.5  # by more than this [m], and so many standard deviations of the steps together
+SLID = 1.0  # [m] over one step that places contradict, from which it is told
+MENDED, MENDED_BY = 3.0, 20  # [m] at most, and places that hold over it at least: it is mended, not bent
 LOOSE = 1.25  # [m] sd of a place seen from where the robot began, beyond which its map is not good,
 LOOSE_ALL = 0.72  # and [m] root mean square over time by which its trajectory may err, as covariances say
 SETTLED, SETTLED_CUTS = 5, 1  # keyframes after a robot was set down, of which at most so many are cut off, too
@@ -324,12 +326,19 @@ def _off_over(graph: RobotGraph, cuts: Sequence[int]) -> tuple[tuple[int, int], 
 
 
 def way_bent(graph: RobotGraph) -> tuple[Finding, ...]:
-    """A finding where places bend the trajectory far beyond what its steps may err by, as places that look alike do.
+    """Findings where places bend the trajectory far beyond what its steps may err by, as places that look alike do.
 
     Of all stretches of as many steps as `STRETCHES` tells that which is bent most, against the covariance that its
-    steps have together; over a border nothing is known, so that nothing can be bent.
+    steps have together; over a border nothing is known, so that nothing can be bent. Where a score of places hold what
+    came before to what came after, a robot slid by metres, as along a corridor, and they have mended it; where such a
+    slide was laid upon one step, scans beside it may be as far off.
     """
     e = se2.between(graph.step, se2.between(graph.pose[:-1], graph.pose[1:]))[:, :2]
+    slid = np.hypot(e[:, 0], e[:, 1]) * [why == CONTRADICTED for why in graph.border[1:]]
+    found = [
+        Finding("way-slid", graph.robot, (float(graph.t[k]), float(graph.t[k + 1])), float(slid[k]))
+        for k in np.flatnonzero(slid > SLID).tolist()
+    ]
     e[[bool(why) for why in graph.border[1:]]] = 0.0
     off = np.concatenate([np.zeros((1, 2)), np.cumsum(e, axis=0)])
     cov = np.concatenate([np.zeros((1, 2, 2)), np.cumsum(np.linalg.inv(graph.step_information)[:, :2, :2], axis=0)])
@@ -342,11 +351,18 @@ def way_bent(graph: RobotGraph) -> tuple[Finding, ...]:
         far = np.hypot(bent[:, 0], bent[:, 1])
         k = int(np.argmax(np.where(far > BENT, sds, 0.0)))
         worst = max(worst, (float(sds[k]) if far[k] > BENT else 0.0, float(far[k]), k, k + steps))
-    if worst[0] <= BENT_SDS:
-        return ()
     first, last = worst[2], worst[3]
+    if worst[0] <= BENT_SDS or (worst[1] <= MENDED and _places_over(graph, first, last) >= MENDED_BY):
+        return tuple(found)
     value = {"value": worst[1], "way": float(graph.path[last] - graph.path[first]), "sd": worst[0]}
-    return (Finding("way-bent", graph.robot, (float(graph.t[first]), float(graph.t[last])), value),)
+    return (*found, Finding("way-bent", graph.robot, (float(graph.t[first]), float(graph.t[last])), value))
+
+
+def _places_over(graph: RobotGraph, first: int, last: int) -> int:
+    """The places that hold what was before the middle half of a stretch to what was after it."""
+    ends = [(c.first, c.second) for c in graph.closures if c.accepted]
+    edge = (last - first) / 4
+    return sum(min(pair) <= first + edge and max(pair) >= last - edge for pair in ends)
 
 
 def way_loose(graph: RobotGraph) -> tuple[Finding, ...]:
