@@ -93,7 +93,9 @@ def _mcap_chunks(file: IO[bytes], whole: int) -> Iterator[tuple[str, int]]:
             how = file.read(min(64, int.from_bytes(body[28:], "little")))
             file.read(8)
             yield how.decode(errors="replace"), max(0, end - file.tell())
-        file.seek(min(end, whole))
+        if end >= whole:  # of a file that grows meanwhile no more than there was
+            return
+        file.seek(end)
 
 
 def _bag_chunks(file: IO[bytes], whole: int) -> Iterator[tuple[str, int]]:
@@ -104,7 +106,9 @@ def _bag_chunks(file: IO[bytes], whole: int) -> Iterator[tuple[str, int]]:
         end = file.tell() + size
         if head.get("op") == b"\x05":
             yield head.get("compression", b"none").decode(errors="replace"), size
-        file.seek(min(end, whole))
+        if end >= whole:  # of a file that grows meanwhile no more than there was
+            return
+        file.seek(end)
 
 
 def _mcap(
