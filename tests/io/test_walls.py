@@ -10,6 +10,7 @@ import sqlite3
 import struct
 import subprocess
 import sys
+import threading
 import zipfile
 from pathlib import Path
 
@@ -27,7 +28,7 @@ from mapweave.io.laser_logs import read_laser
 from mapweave.io.laser_map import read_grid, write_grid
 from mapweave.io.local_map import read_local_map, write_local_map
 from mapweave.io.ros_map import read_ros_map
-from mapweave.io.salvage import LARGEST_CHUNK, zstd
+from mapweave.io.salvage import LARGEST_CHUNK, _bag_chunks, _mcap_chunks, zstd
 from mapweave.io.sightings import read_sightings, read_swarm_truth
 from mapweave.io.team_map import read_landmarks, read_members, read_metrics
 from mapweave.io.tum import read_tum
@@ -293,6 +294,20 @@ def test_a_text_that_memory_does_not_hold_is_refused_with_its_size(tmp_path, mon
     (tmp_path / "log.gz").write_bytes(gzip.compress(b"FLASER 0\n"))
     with pytest.raises(ReaderError, match=r"log\.gz: \d+ bytes hold more text than there is memory for"):
         read_laser(tmp_path / "log.gz", "1")
+
+
+@pytest.mark.parametrize("cut", [12, 60, 100, 129])
+def test_a_recording_that_grows_while_its_parts_are_counted_is_read_as_far_as_it_was_written(cut, tmp_path):
+    mcap = (b"\x01" + struct.pack("<Q", 120) + bytes(120)) * 9
+    bag = (struct.pack("<I", 8) + struct.pack("<I", 4) + b"op=\x07" + struct.pack("<I", 113) + bytes(113)) * 9
+    for chunks, data in ((_mcap_chunks, mcap), (_bag_chunks, bag)):
+        (tmp_path / "a").write_bytes(data)
+        for whole in (cut, len(data)):
+            with (tmp_path / "a").open("rb") as file:
+                counted = threading.Thread(target=lambda: list(chunks(file, whole)), daemon=True)
+                counted.start()
+                counted.join(20.0)
+                assert not counted.is_alive()
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from ..laser.keyframes import Keyframe, KeyframeConfig, carried
 from ..laser.pose_graph import PoseGraph, Solved, edge_factor, problem
 from ..laser.robust_graph import CONTRADICTION, RobustGraphConfig, solve_graph
 from .places import PlaceMatch
-from .segments import FADED, GAP, REFUSED, WHEELED, border_covariance
+from .segments import FADED, GAP, REFUSED, SLID, SLID_HELD, WEAK_XY, WHEELED, border_covariance
 
 PLACE_AROUND = 5  # keyframes on either side of the old one that its local map is made of
 PLACE_WITHIN = 4.0  # [m] from the old keyframe that they stand at most
@@ -24,7 +24,6 @@ RESOLVE_LEAST = 8  # new keyframes from which on the graph is solved anew, at le
 
 OUTWEIGHED = 3  # places that hold without a step and not with it: then it is the step that is wrong
 SLIPPED = 1.0  # sd, of a step over a border, that steps in a row may be wrong by: farther, the places are wrong
-SLID, MANY = 3.0, 20  # sd that one of them may where so many places more hold: a robot slid along a corridor
 ALONE = 5  # keyframes between two such rows, at least
 LOST = 10  # places more that hold without a step for each that held with it and does not any more
 NEAR, RIVALS = 3.0, 30  # sd of a step over a gap that places there may lie from it; times as many elsewhere
@@ -409,7 +408,8 @@ class KeyframeGraph:
         """The keyframes whose steps are wrong where without them `OUTWEIGHED` more places a step hold; else none.
 
         Of places that held all must hold still, but for one in `LOST`, and such a step be wrong by little, and alone:
-        in a building that looks alike in several places, steps all along would have to be wrong, by metres.
+        in a building that looks alike in several places, steps all along would have to be wrong, by metres. One of them
+        may be by metres where a score of places more hold: there the robot slid.
 
         dropped: which places do not hold as long as every step does; unasked: (t,) which are not asked. Over each step
         lies a weak one that holds always.
@@ -428,11 +428,11 @@ class KeyframeGraph:
         gained = len(dropped) - (len(gone) - len(wrong))
         lost = {k - both.edges for k in gone if k >= both.edges} - dropped
         runs = np.split(np.array(wrong, dtype=np.int64), np.flatnonzero(np.diff(wrong) >= ALONE) + 1)
-        far = sorted(float(np.sqrt(decided.nis[run]).sum()) for run in runs)
-        slipped = not wrong or (
-            max(far[:-1], default=0.0) <= SLIPPED and far[-1] <= (SLID if gained >= MANY else SLIPPED)
-        )
-        if not wrong or LOST * len(lost) > gained or not slipped or gained < OUTWEIGHED * len(runs):
+        if not wrong or LOST * len(lost) > gained or gained < OUTWEIGHED * len(runs):
+            return frozenset()
+        *less, most = sorted(float(np.sqrt(decided.nis[run]).sum()) for run in runs)
+        far = SLID / WEAK_XY if gained >= SLID_HELD else SLIPPED
+        if most > far or any(one > SLIPPED for one in less):
             return frozenset()
         return frozenset(int(steps.second[k]) for k in wrong)
 

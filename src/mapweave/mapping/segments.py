@@ -58,8 +58,11 @@ DISPUTED_XY, DISPUTED_TURN = 0.5, 0.5  # [m] or [rad]: over few metres wheels th
 CARRIED_BY = {"scene-jump", "scene-change", "wheels-leap", "wheels-set"}  # codes of what tells that it is elsewhere
 STRETCHES = (10, 20, 40)  # steps of a trajectory that places may have bent,
 BENT, BENT_SDS = 0.5, 5.5  # by more than this [m], and so many standard deviations of the steps together
-SLID = 1.0  # [m] over one step that places contradict, from which it is told
-MENDED, MENDED_BY = 3.0, 20  # [m] at most, and places that hold over it at least: it is mended, not bent
+SLID_FROM = 1.0  # [m] over one step that places contradict, from which it is told
+SLID, SLID_HELD = (
+    3.0,
+    20,
+)  # [m] that a robot may have slid, along a corridor, where so many places at least hold over it
 LOOSE = 1.25  # [m] sd of a place seen from where the robot began, beyond which its map is not good,
 LOOSE_ALL = 0.72  # and [m] root mean square over time by which its trajectory may err, as covariances say
 SETTLED, SETTLED_CUTS = 5, 1  # keyframes after a robot was set down, of which at most so many are cut off, too
@@ -337,7 +340,7 @@ def way_bent(graph: RobotGraph) -> tuple[Finding, ...]:
     slid = np.hypot(e[:, 0], e[:, 1]) * [why == CONTRADICTED for why in graph.border[1:]]
     found = [
         Finding("way-slid", graph.robot, (float(graph.t[k]), float(graph.t[k + 1])), float(slid[k]))
-        for k in np.flatnonzero(slid > SLID).tolist()
+        for k in np.flatnonzero(slid > SLID_FROM).tolist()
     ]
     e[[bool(why) for why in graph.border[1:]]] = 0.0
     off = np.concatenate([np.zeros((1, 2)), np.cumsum(e, axis=0)])
@@ -352,7 +355,7 @@ def way_bent(graph: RobotGraph) -> tuple[Finding, ...]:
         k = int(np.argmax(np.where(far > BENT, sds, 0.0)))
         worst = max(worst, (float(sds[k]) if far[k] > BENT else 0.0, float(far[k]), k, k + steps))
     first, last = worst[2], worst[3]
-    if worst[0] <= BENT_SDS or (worst[1] <= MENDED and _places_over(graph, first, last) >= MENDED_BY):
+    if worst[0] <= BENT_SDS or (worst[1] <= SLID and _places_over(graph, first, last) >= SLID_HELD):
         return tuple(found)
     value = {"value": worst[1], "way": float(graph.path[last] - graph.path[first]), "sd": worst[0]}
     return (*found, Finding("way-bent", graph.robot, (float(graph.t[first]), float(graph.t[last])), value))

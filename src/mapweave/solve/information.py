@@ -1,6 +1,6 @@
 """The information matrix: where every factor's block lands in it, its factorisation, solutions and covariances."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -16,7 +16,6 @@ from .elimination import Cholesky, Elimination, NotPositiveError, least_fill
 from .problem import Problem
 
 BLOCK = 3  # variables that go together
-CANNOT = (RuntimeError, NotPositiveError)  # be factorised; the first is SuperLU's own word for a zero pivot
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,12 +239,7 @@ class Pattern:
         if added is not None:
             data = data.copy()
             data[self.diagonal] += added
-        try:
-            if isinstance(self.elimination, BlockOrder):
-                return BlockCholesky.of(data, self.elimination)
-            return _factor(self.matrix(data), self.elimination)
-        except CANNOT as error:
-            raise SingularError(str(error)) from None
+        return _factor(data, self.elimination, lambda: self.matrix(data))
 
     def matrix(self, data: Float[np.ndarray, " nnz"]) -> sp.csc_matrix:
         H = sp.csc_matrix((data, self.indices, self.indptr), shape=(self.size, self.size))
@@ -268,10 +262,18 @@ class SingularError(ArithmeticError):
     """The information matrix has no inverse: something is not observed, or the gauge is free."""
 
 
-def _factor(matrix: sp.csc_matrix, elimination: Elimination | None) -> Any:
-    if elimination is not None:
-        return Cholesky.of(matrix, elimination)
-    return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+def _factor(
+    data: Float[np.ndarray, " nnz"], elimination: Elimination | BlockOrder | None, whole: Callable[[], sp.csc_matrix]
+) -> Any:
+    """The factor of the matrix of these `data`, which is asked for `whole` only where blocks do not do."""
+    try:
+        if isinstance(elimination, BlockOrder):
+            return BlockCholesky.of(data, elimination)
+        if elimination is not None:
+            return Cholesky.of(whole(), elimination)
+        return splu(whole(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    except (RuntimeError, NotPositiveError) as error:  # the first is SuperLU's own word for a zero pivot
+        raise SingularError(str(error)) from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -288,12 +290,7 @@ class Information:
         With an `elimination` made for this pattern the factor is multifrontal or of blocks: many times faster on large
         graphs.
         """
-        try:
-            if isinstance(elimination, BlockOrder):
-                return cls(matrix, BlockCholesky.of(matrix.data, elimination))
-            return cls(matrix, _factor(matrix, elimination))
-        except CANNOT as error:
-            raise SingularError(str(error)) from None
+        return cls(matrix, _factor(matrix.data, elimination, lambda: matrix))
 
     def dissected(
         self, group: Int[np.ndarray, " n"], coordinates: Float[np.ndarray, "n d"] | None = None
