@@ -126,6 +126,17 @@ def test_one_process_drives_several_robots_each_with_a_history_of_its_own(fleet,
         assert f"{name}: {end.seq + 1} messages" in fleet.said("r1,r2")
 
 
+def ended(fleet, one):
+    """The log of robot r1, which is interrupted once all that `one` said before was heard."""
+    one.node.say("/tb1/scan", b"")
+    fleet.hears("r1", "refused: malformed")
+    fleet.interrupt("r1")
+    assert fleet.wait("r1") == 0, fleet.said("r1")
+    log, end = record(fleet.folder / "mapweave-live/team-r1.sqlite", "r1")
+    assert isinstance(end, Closed)
+    return log
+
+
 @pytest.mark.slow
 def test_a_robot_with_a_receiver_tells_its_fixes_and_its_map_lies_where_that_of_its_drive_does(fleet, ros):
     world = CorridorConfig(distance=8.0, drive=DriveConfig(sensor_pose=MOUNT))
@@ -136,12 +147,7 @@ def test_a_robot_with_a_receiver_tells_its_fixes_and_its_map_lies_where_that_of_
     fleet.hears("r1", "hears /tb1/scan, odometry from /tb1/odom, position fixes from /tb1/fix")
     one.play(8.0)
     one.node.say("/tb1/fix", fix(2000.0, "tb1/gps", (35.0, 200.0, 0.0)))
-    one.node.say("/tb1/scan", b"")
-    fleet.hears("r1", "refused: malformed")
-    fleet.interrupt("r1")
-    assert fleet.wait("r1") == 0, fleet.said("r1")
-    log, end = record(fleet.folder / "mapweave-live/team-r1.sqlite", "r1")
-    assert isinstance(end, Closed)
+    log = ended(fleet, one)
     same_scans(log, driven)
     np.testing.assert_allclose(log.odometry.t, driven.odometry.t, atol=1e-9)
     for column in ("t", "place", "cov"):
@@ -165,12 +171,7 @@ def test_a_robot_without_wheels_tells_headings_by_its_gyroscope(fleet, ros):
     fleet.hears("r1", "hears /tb1/scan, odometry from tf, if that tells any, turns of /tb1/imu without it")
     wait_for(lambda: one.node.is_heard("/tb1/imu"))
     one.play(4.0)
-    one.node.say("/tb1/scan", b"")
-    fleet.hears("r1", "refused: malformed")
-    fleet.interrupt("r1")
-    assert fleet.wait("r1") == 0, fleet.said("r1")
-    heard, end = record(fleet.folder / "mapweave-live/team-r1.sqlite", "r1")
-    assert isinstance(end, Closed)
+    heard = ended(fleet, one)
     assert heard.odometry_from == "none"
     assert "imu-turns" in {found.code for found in heard.findings}
     heading = np.array([np.nan if scan.heading is None else scan.heading for scan in heard.scans])

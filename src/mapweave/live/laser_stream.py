@@ -24,6 +24,7 @@ from .messages import (
     pack,
     squeeze,
     stretch,
+    told_by,
     unpack,
 )
 
@@ -207,27 +208,9 @@ def _gone_on(before: tuple[float, ...] | None, rows: Sequence[Sequence[float]]) 
 
 
 def scans_told(messages: Iterable[Message]) -> LaserLog | None:
-    """The log that a laser robot's messages make, from its header on; None without one.
-
-    Of one that is told anew, what it was before until it is told to the end.
-    """
-    record: LaserRecord | None = None
-    parts: list[LaserLog] = []
-    anew: list[LaserLog] | None = None
-    for message in messages:
-        if record is None:
-            if not isinstance(message, Header):
-                return None
-            record, header = LaserRecord(message), message
-        elif isinstance(message, Numbered):
-            part = record.add(message)
-            if isinstance(message, Header):
-                anew = []
-            elif part is not None:
-                (parts if anew is None else anew).append(part)
-    if record is None:
-        return None
-    return whole_log(record.header, anew or parts) if record.closed else whole_log(header, parts)
+    """The log that a laser robot's messages make, from its header on; None without one."""
+    told = told_by(messages, LaserRecord)
+    return None if told is None else whole_log(*told)
 
 
 def whole_log(header: Header, parts: Iterable[LaserLog]) -> LaserLog:

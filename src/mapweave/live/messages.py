@@ -12,10 +12,10 @@ under `mapweave/<team>/@map/<name>/`; no wildcard for robots takes in a chunk th
 
 import re
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import msgspec
 import numpy as np
@@ -550,3 +550,38 @@ def _inflated(stream: bytes, size: int) -> bytes:
     if len(raw) != size or inflater.unconsumed_tail or not inflater.eof:
         raise RefusedError("malformed", f"a column that does not hold {size} bytes")
     return raw
+
+
+P_co = TypeVar("P_co", covariant=True)  # what one message says
+
+
+class Record(Protocol[P_co]):
+    """How far a robot's messages came: `add` gives what one of them says, None of one without rows."""
+
+    header: Header
+    closed: bool
+
+    def add(self, message: Numbered) -> P_co | None: ...
+
+
+def told_by(messages: Iterable[Message], begun: Callable[[Header], Record[P_co]]) -> tuple[Header, list[P_co]] | None:
+    """The header and what the messages after it say, in their order; None without one.
+
+    begun: the record of a history. Of a log that is told anew, what it was before until it is told to the end.
+    """
+    every = iter(messages)
+    first = next(every, None)
+    if not isinstance(first, Header):
+        return None
+    record = begun(first)
+    parts: list[P_co] = []
+    anew: list[P_co] = []
+    now = parts
+    for message in every:
+        if isinstance(message, Numbered):
+            part = record.add(message)
+            if isinstance(message, Header):
+                now = anew = []
+            elif part is not None:
+                now.append(part)
+    return (record.header, anew or parts) if record.closed else (first, parts)

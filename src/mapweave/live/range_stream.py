@@ -20,7 +20,7 @@ from .door import decode, expect_span, expect_steps
 from .fix_stream import FixRecord, cuts_of, fixes_of, packed, source_of
 from .isolation import without_culprits
 from .landmark_stream import indexed
-from .messages import Closed, Header, LandmarkState, Message, Numbered, Radios, RefusedError, pack, unpack
+from .messages import Closed, Header, LandmarkState, Message, Numbered, Radios, RefusedError, pack, told_by, unpack
 from .store import Store
 from .weaving import Placed
 
@@ -225,28 +225,11 @@ class RangeRecord:
 
 
 def ranges_told(messages: Iterable[Message]) -> RangeLog | None:
-    """The log that a ranging robot's messages make, from its header on; None without one, or without odometry.
-
-    Of one that is told anew, what it was before until it is told to the end.
-    """
-    record: RangeRecord | None = None
-    parts: list[RadioPart] = []
-    anew: list[RadioPart] | None = None
-    for message in messages:
-        if record is None:
-            if not isinstance(message, Header):
-                return None
-            record, h = RangeRecord(message), message
-        elif isinstance(message, Numbered):
-            part = record.add(message)
-            if isinstance(message, Header):
-                anew = []
-            elif part is not None:
-                (parts if anew is None else anew).append(part)
-    if record is not None and record.closed:
-        h, parts = record.header, anew or parts
-    if record is None or not any(part.track.shape[1] for part in parts):
+    """The log that a ranging robot's messages make, from its header on; None without one, or without odometry."""
+    told = told_by(messages, RangeRecord)
+    if told is None or not any(part.track.shape[1] for part in told[1]):
         return None
+    h, parts = told
     track = np.concatenate([part.track for part in parts], axis=1)
     t, z = np.concatenate([part.told for part in parts], axis=1)
     fixes = fixes_of(h.fixes, [part.fixes for part in parts])
