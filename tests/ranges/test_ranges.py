@@ -13,11 +13,11 @@ from mapweave.core.records import Track
 from mapweave.io.pyfg import write_pyfg
 from mapweave.ranges import network as range_log
 from mapweave.ranges import start
-from mapweave.ranges.estimate import RangeEstimate, _laid_in_pieces, _mirrored, _start_at, estimate
+from mapweave.ranges.estimate import RangeEstimate, _mirrored, _start_at, estimate
 from mapweave.ranges.factors import RadioColumns, lasting, motion_factor, range_factor
 from mapweave.ranges.network import Motions, RangeLog, RangeNetwork, Ranges, bodies_of, in_pieces, network_of
 from mapweave.ranges.noise import RadioNoise, unlikely
-from mapweave.ranges.start import BodyLayout, ColdStart, placements
+from mapweave.ranges.start import BodyLayout, ColdStart, laid_in_pieces, placements
 from mapweave.sim.mixed_team import MixedWorld, simulate_mixed
 
 from ..differences import assert_derivative
@@ -78,7 +78,7 @@ def test_the_mirror_image_is_tried_of_a_team_that_drove_straight_though_its_odom
     bent = replace(log.odometry["robot1"], pose=wandering)
     net = network_of(replace(log, odometry={**log.odometry, "robot1": bent}))
     bodies = bodies_of(net)
-    laid = _laid_in_pieces(net, bodies, range(len(bodies.turns)), 1)
+    laid = laid_in_pieces(net, bodies, range(len(bodies.turns)), 1)
     best = _start_at(net, bodies, laid.nodes, laid.poses[0])
     image = _mirrored(net, bodies, best)
     assert (image is not None) == straight

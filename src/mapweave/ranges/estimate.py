@@ -14,7 +14,7 @@ of another scale for a while: all that is found with the rest (`factors.RadioCol
 Position fixes are one more factor of the same problem, which then lies in their world.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -50,7 +50,7 @@ from .factors import (
 from .fixes import FAR2, Laid, Sights, lay_among
 from .network import Bodies, Motions, Priors, RangeNetwork, Ranges, StampShift, bodies_of, in_pieces
 from .noise import SHRUNK, RadioNoise, loosened, spread_of, unlikely, windows_of
-from .start import LEAD, LEAST, ROUGH, UNSURE, lay_out, placements
+from .start import LEAD, LEAST, ROUGH, UNSURE, LaidBodies, laid_in_pieces, placements
 
 FIRST_SD = 0.15  # [m] noise of a range before residuals tell it
 BIAS_SD = 0.3  # [m] of what the biases of all pairs have in common: antennas whose delay nobody trimmed
@@ -73,7 +73,6 @@ LOOKED = 60  # by so many ranges before and after
 SHORT, SHORT_SHARE = 0.3, 0.02  # [m] by which ranges are too short, which no wall makes them, and their share to look
 CUT_GAIN = 0.02  # share of a track's ranges that must agree with its two parts beside those that agree with the whole
 PIECES = (4, 16)  # in which ways are laid that drift too far to be laid as wholes
-MOST_TIED = 4  # layouts that are worked out whole, to see which explains the ranges best
 SOLVE = SolveConfig(max_iterations=30, damping=1e-4, step_tolerance=1e-5, cost_tolerance=1e-6)
 
 
@@ -484,26 +483,17 @@ class _Solved:
         ]
 
 
-class _Laid(NamedTuple):
-    """The bodies `placed`, whose `nodes` may begin at any of `poses`, and why others are loose."""
-
-    placed: Collection[int]
-    nodes: Int[np.ndarray, " n"]
-    poses: list[Float[np.ndarray, "n 3"]]
-    loose: Mapping[int, str]
-
-
 def _laid_and_solved(
     net: RangeNetwork, bodies: Bodies, waiting: Sequence[int], *, cut: bool
-) -> tuple[_Laid, list[_Solved]]:
+) -> tuple[LaidBodies, list[_Solved]]:
     """How the bodies `waiting` lie that ranges place, worked out from each of the layouts, the likeliest first."""
-    best: tuple[_Laid, list[_Solved]] | None = None
-    whole, count = _laid_in_pieces(net, bodies, waiting, 1), len(bodies.turns)  # how many are laid
+    best: tuple[LaidBodies, list[_Solved]] | None = None
+    whole, count = laid_in_pieces(net, bodies, waiting, 1), len(bodies.turns)  # how many are laid
     for pieces in PIECES if cut or UNSURE in whole.loose.values() else ():
         before, count = count, len(in_pieces(bodies, pieces)[1])
         if count == before:  # too short a way to cut it further
             break
-        laid = _laid_in_pieces(net, bodies, waiting, pieces)
+        laid = laid_in_pieces(net, bodies, waiting, pieces)
         if len(laid.placed) < len(best[0].placed if best else whole.placed):
             continue
         solved = sorted((_start_at(net, bodies, laid.nodes, pose) for pose in laid.poses), key=lambda s: s.cost)
@@ -514,29 +504,6 @@ def _laid_and_solved(
     if best is not None and (cut or len(best[0].placed) > len(whole.placed)):
         return best
     return whole, sorted((_start_at(net, bodies, whole.nodes, pose) for pose in whole.poses), key=lambda s: s.cost)
-
-
-def _laid_in_pieces(net: RangeNetwork, bodies: Bodies, waiting: Sequence[int], pieces: int) -> _Laid:
-    """How the bodies `waiting` may lie, ways in so many pieces.
-
-    One that ranges do not place goes on from the one before it, or else leads to the next.
-    """
-    fine, whose = in_pieces(bodies, pieces)
-    start = lay_out(net, fine, np.flatnonzero(np.isin(whose, waiting)).tolist())
-    known = np.array(sorted(start.layouts[0].frames))
-    placed = np.unique(whose[known])
-    nodes = np.flatnonzero(np.isin(bodies.of, placed))
-    like = np.arange(len(whose))
-    for k in np.setdiff1d(np.flatnonzero(np.isin(whose, placed)), known).tolist():
-        mine = known[whose[known] == whose[k]]
-        like[k] = mine[max(int(np.searchsorted(mine, k)) - 1, 0)]
-    poses = []
-    for layout in start.layouts[:MOST_TIED]:
-        frames = np.zeros((len(whose), 3))
-        frames[list(layout.frames)] = np.array(list(layout.frames.values()))
-        poses.append(np.asarray(se2.compose(frames[like[fine.of[nodes]]], bodies.pose[nodes])))
-    loose = {int(whose[k]): why for k, why in start.loose.items() if whose[k] not in placed}
-    return _Laid(placed.tolist(), nodes, poses, loose)
 
 
 def _start_at(

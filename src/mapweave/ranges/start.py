@@ -5,16 +5,17 @@ all minima of a robust cost are found; those that explain the ranges about as we
 later decide between them. What is still open at the end is reported, not chosen.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..core import se2
 from ..core.rows import spread
-from .network import Bodies, RangeNetwork
+from .network import Bodies, RangeNetwork, in_pieces
 
 HEADINGS, DIRECTIONS = 16, 8  # from which minima are sought
 MOST = 240  # ranges looked at, of one body to those placed: evenly spread
@@ -28,6 +29,7 @@ MOST_KEPT = 24  # hypotheses of the whole team followed at once
 BEGINNERS = 3  # bodies from which layouts are begun, in turn
 SURE_XY, SURE_THETA = 1.5, 0.6  # [m], [rad] sd beyond which ranges do not place a body
 LEAST = 6  # ranges that place a body, a beacon takes two less
+MOST_TIED = 4  # layouts that are worked out whole, to see which explains the ranges best
 UNSURE = "too little motion: its ranges fit along a line"  # why a body is loose, though it has ranges enough
 
 
@@ -228,3 +230,35 @@ def _refined(
             break
     X[:, 2] = se2.wrap_angle(X[:, 2])
     return X, cost, H
+
+
+class LaidBodies(NamedTuple):
+    """The bodies `placed`, whose `nodes` may begin at any of `poses`, and why others are loose."""
+
+    placed: Collection[int]
+    nodes: Int[np.ndarray, " n"]
+    poses: list[Float[np.ndarray, "n 3"]]
+    loose: Mapping[int, str]
+
+
+def laid_in_pieces(net: RangeNetwork, bodies: Bodies, waiting: Sequence[int], pieces: int) -> LaidBodies:
+    """How the bodies `waiting` may lie, ways in so many pieces.
+
+    One that ranges do not place goes on from the one before it, or else leads to the next.
+    """
+    fine, whose = in_pieces(bodies, pieces)
+    start = lay_out(net, fine, np.flatnonzero(np.isin(whose, waiting)).tolist())
+    known = np.array(sorted(start.layouts[0].frames))
+    placed = np.unique(whose[known])
+    nodes = np.flatnonzero(np.isin(bodies.of, placed))
+    like = np.arange(len(whose))
+    for k in np.setdiff1d(np.flatnonzero(np.isin(whose, placed)), known).tolist():
+        mine = known[whose[known] == whose[k]]
+        like[k] = mine[max(int(np.searchsorted(mine, k)) - 1, 0)]
+    poses = []
+    for layout in start.layouts[:MOST_TIED]:
+        frames = np.zeros((len(whose), 3))
+        frames[list(layout.frames)] = np.array(list(layout.frames.values()))
+        poses.append(np.asarray(se2.compose(frames[like[fine.of[nodes]]], bodies.pose[nodes])))
+    loose = {int(whose[k]): why for k, why in start.loose.items() if whose[k] not in placed}
+    return LaidBodies(placed.tolist(), nodes, poses, loose)
