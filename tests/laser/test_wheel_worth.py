@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mapweave.laser.keyframes import StepNoise, wheel_noise
-from mapweave.laser.wheel_worth import WheelWorth
+from mapweave.laser.wheel_worth import WheelWorth, _least_held
 
 STILL = np.zeros(3)
 STEP = np.array([0.2, 0.0, 0.0])
@@ -58,3 +58,12 @@ def test_a_robot_that_stands_tells_nothing():
     for _ in range(200):
         worth.few(FEW, np.zeros(3), np.zeros(3), SD)
     np.testing.assert_array_equal(worth.few(FEW, np.zeros(3), SD, SD), before)
+
+
+def test_the_least_held_direction_is_that_of_walls_with_any_heading():
+    rng = np.random.default_rng(1)
+    for rows in (1, 2, 9):
+        J = rng.normal(size=(rows, 3)) * [30.0, 30.0, 100.0]
+        lines = J.T @ J
+        held = lines[:2, :2] - np.outer(lines[:2, 2], lines[:2, 2]) / lines[2, 2]
+        assert _least_held(lines) == pytest.approx(np.linalg.eigvalsh(held)[0], rel=1e-6, abs=1e-9)

@@ -5,7 +5,7 @@ import zlib
 import numpy as np
 import pytest
 
-from mapweave.live.messages import RefusedError, squeeze, stretch
+from mapweave.live.messages import KEPT_LONGEST, RefusedError, squeeze, stretch
 
 rng = np.random.default_rng(0)
 MILLIMETRES = np.rint(1000 * (3.0 + 0.2 * rng.standard_normal(300)).cumsum() / np.arange(1, 301))
@@ -67,3 +67,15 @@ ONES = squeeze(np.ones(3))
 def test_columns_that_are_not_what_they_say_are_refused(data, n):
     with pytest.raises(RefusedError, match="malformed"):
         stretch(data, n)
+
+
+@pytest.mark.parametrize("n", [KEPT_LONGEST, KEPT_LONGEST + 1])
+def test_a_column_that_is_asked_for_again_is_the_same_and_cannot_be_changed(n):
+    values = np.arange(n) / 1000.0
+    data = squeeze(values)
+    once, again = stretch(data, n), stretch(bytes(bytearray(data)), n)
+    assert (once is again) == (n <= KEPT_LONGEST)
+    assert once.tobytes() == again.tobytes() == values.tobytes()
+    assert not once.flags.writeable
+    with pytest.raises(RefusedError):
+        stretch(data, n - 1)

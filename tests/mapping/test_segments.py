@@ -25,6 +25,7 @@ from mapweave.mapping.segments import (
     SLIP,
     SPRANG,
     Borders,
+    _Learned,
     border_covariance,
     bridged,
     cuts_disputed,
@@ -188,6 +189,18 @@ def test_wheels_that_turn_and_do_not_move_are_those_of_a_robot_that_turned_about
 
 def test_that_a_robot_drives_fast_is_known_from_its_first_step():
     assert not any(leaps([*[2.0] * 8, *[0.0] * (LEARNED + 5), 2.0]))
+
+
+@pytest.mark.parametrize("quantile", [0.5, 0.95, 0.98])
+def test_what_is_usual_is_the_quantile_of_the_first_rows(quantile):
+    rows = np.random.default_rng(3).exponential(size=(10 * LEARNED + 5, 2))
+    learned = _Learned(2, quantile)
+    assert learned.usual.tolist() == [0.0, 0.0]
+    for k, row in enumerate(rows, 1):
+        learned.see(row.tolist())
+        first = rows[: min(k, 10 * LEARNED)]
+        assert len(learned) == len(first)
+        np.testing.assert_allclose(learned.usual, np.quantile(first, quantile, axis=0), rtol=1e-12)
 
 
 def test_over_a_border_a_long_step_may_err_by_more():

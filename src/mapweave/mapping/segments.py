@@ -59,10 +59,7 @@ CARRIED_BY = {"scene-jump", "scene-change", "wheels-leap", "wheels-set"}  # code
 STRETCHES = (10, 20, 40)  # steps of a trajectory that places may have bent,
 BENT, BENT_SDS = 0.5, 5.5  # by more than this [m], and so many standard deviations of the steps together
 SLID_FROM = 1.0  # [m] over one step that places contradict, from which it is told
-SLID, SLID_HELD = (
-    3.0,
-    20,
-)  # [m] that a robot may have slid, along a corridor, where so many places at least hold over it
+SLID, SLID_HELD = 3.0, 20  # [m] that a robot may slide along a corridor, where so many places hold over it
 LOOSE = 1.25  # [m] sd of a place seen from where the robot began, beyond which its map is not good,
 LOOSE_ALL = 0.72  # and [m] root mean square over time by which its trajectory may err, as covariances say
 SETTLED, SETTLED_CUTS = 5, 1  # keyframes after a robot was set down, of which at most so many are cut off, too
