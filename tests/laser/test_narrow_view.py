@@ -1,5 +1,7 @@
 """A camera's view of 58 degrees: it turns away from all it saw within a step or two, and wheels carry the robot on."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -59,6 +61,16 @@ def test_wheels_go_on_over_what_was_unseen_and_nothing_is_cut():
         whys.append(borders.seen(0.5 * k, info, odometry.step, wheels=True))
     assert set(whys) == {""}
     assert se2.wrap_angle(odometry.pose[2] - 1.3 * 11) == pytest.approx(0.0, abs=0.05)
+
+
+def test_what_wheels_tell_of_a_step_is_told_whatever_the_scans_say_and_nothing_where_they_were_set_anew():
+    odometry, told = ScanOdometry(FrontEndConfig()), []
+    for k, wheels in enumerate(([1.0, 2.0, 0.5], [1.0, 2.0, 0.7], [5.0, 5.0, 0.0], None)):
+        scan = replace(seen(looking(0.1 * k), np.zeros(3)), odometry=None if wheels is None else np.array(wheels))
+        odometry.advance(scan, beams(scan, "none", None, BeamConfig()), leapt=k == 2)
+        told.append(odometry.told)
+    np.testing.assert_allclose(told[1], [0.0, 0.0, 0.2], atol=1e-12)
+    assert told[2] is told[3] is None
 
 
 def test_points_lie_in_a_view_by_its_sector_and_reach():

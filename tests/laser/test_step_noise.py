@@ -82,6 +82,20 @@ def test_a_keyframes_step_drifts_with_the_way_since_the_last_one():
     assert second.cov[2, 2] - still[2, 2] == pytest.approx(NOISE.drift_turn**2, rel=0.05)
 
 
+def test_a_keyframe_has_the_way_that_wheels_told_since_the_last_one_where_they_told_all_of_it():
+    maker, lines = KeyframeMaker(0, KeyframeConfig(distance=0.9)), 1e4 * np.eye(3)
+    maker.keyframe(0.0, GONE)
+    turned, ahead = np.array([0.5, 0.0, 0.3]), np.array([0.4, 0.1, 0.0])
+    made = []
+    for k, wheels in enumerate([turned, ahead, ahead, None, turned, ahead], 1):
+        maker.advance(np.array([0.5 * k, 0.0, 0.0]), np.array([0.5, 0.0, 0.0]), lines, wheels)
+        made.append(maker.keyframe(float(k), GONE))
+    first, second, third = (k for k in made if k is not None)
+    np.testing.assert_allclose(first.wheels, se2.compose(turned, ahead))
+    assert second.wheels is None
+    np.testing.assert_allclose(third.wheels, se2.compose(turned, ahead))
+
+
 def test_keyframes_are_counted_and_their_steps_lead_from_each_to_the_next():
     rng = np.random.default_rng(2)
     cfg = KeyframeConfig(distance=0.9, turn=0.45)

@@ -10,10 +10,12 @@ from mapweave.core.findings import Finding
 from mapweave.core.laser_log import LaserLog
 from mapweave.core.records import Scan, Track
 from mapweave.laser.closures import Closure
+from mapweave.laser.keyframes import KeyframeConfig, KeyframeMaker
 from mapweave.laser.log_warnings import wheels_leap
 from mapweave.laser.robot_graph import RobotGraph
 from mapweave.laser.scan_odometry import ScanInfo
 from mapweave.mapping.config import LaserConfig
+from mapweave.mapping.graph_slam import GONE, SegmentBorder, segment_keyframe
 from mapweave.mapping.laser_mapping import map_laser
 from mapweave.mapping.segments import (
     FADED,
@@ -109,6 +111,21 @@ def test_over_a_border_where_wheels_lead_on_they_are_known_to_err_the_less_the_l
     near, far = (np.sqrt(np.diag(border_covariance(np.array([x, 0.0, 0.5 * x]), FADED))) for x in (0.2, 2.0))
     assert (near < far).all()
     assert (far < np.sqrt(np.diag(border_covariance(np.array([2.0, 0.0, 1.0]))))).all()
+
+
+def test_the_keyframe_after_views_that_faded_lies_where_all_wheels_since_the_last_one_say():
+    maker, wheels = KeyframeMaker(0, KeyframeConfig()), np.array([0.2, 0.0, 0.1])
+    maker.keyframe(0.0, GONE)
+    for k in range(1, 3):  # scans say that it stood
+        maker.advance(np.zeros(3), np.zeros(3), np.eye(3), wheels)
+        assert maker.keyframe(float(k), GONE) is None
+    maker.advance(np.zeros(3), np.zeros(3), np.eye(3), wheels)
+    cut = SegmentBorder(FADED, border_covariance(wheels, FADED), se2.inverse(wheels))
+    made = segment_keyframe(maker, 3.0, GONE, cut)
+    way = se2.compose(se2.compose(wheels, wheels), wheels)
+    np.testing.assert_allclose(made.step, way)
+    np.testing.assert_allclose(made.cov, border_covariance(way, FADED))
+    assert made.border == FADED
 
 
 def test_without_wheels_no_match_contradicts_them():

@@ -12,7 +12,7 @@ from mapweave.core import se2
 from mapweave.core.fixes import Fixes
 from mapweave.core.records import Track
 from mapweave.laser.pose_graph import PoseGraph
-from mapweave.laser.scan_odometry import blended
+from mapweave.laser.scan_odometry import blended, up_to
 from mapweave.mapping.borders import _hold_short
 from mapweave.mapping.keyframe_graph import KeyframeGraph, KeyframeGraphConfig
 from mapweave.mapping.map_overlap import keyframe_map
@@ -359,6 +359,75 @@ def test_a_robot_that_slid_by_metres_stands_where_a_score_of_places_says_and_two
     assert (30 in graph.contradicted) == many
     assert [c.accepted for c in graph.closures] == [not many] * 2 + [many] * (len(graph.closures) - 2)
     assert (np.hypot(*(graph.pose - true)[32:, :2].T).max() < 0.1) == many
+
+
+def wheeled(graph, true, *, off=0.01):
+    """The graph, with what wheels told of every step: a little less than the truth, or by `off` [m] more."""
+    for k in range(1, len(graph)):
+        told = se2.between(true[k - 1], true[k]) + np.array([off if k % 2 else -off, 0.0, 0.01])
+        graph.nodes[k] = graph.nodes[k]._replace(wheels=told)
+
+
+def slid_at(graph, true, k, by):
+    """The graph, whose scans slid by `by` [m] in step k."""
+    step = se2.compose(graph.nodes[k].step, np.array([by, 0.0, 0.0]))
+    graph.nodes[k] = graph.nodes[k]._replace(step=np.asarray(step))
+    graph.pose[k:] = se2.compose(se2.compose(true[k - 1], step), se2.between(true[k], true[k:]))
+
+
+def test_where_scans_slid_and_places_agree_with_the_wheels_the_wheels_lead_and_the_slide_stands_where_it_was():
+    graph, true = graph_with()
+    slid_at(graph, true, 32, 2.2)
+    wheeled(graph, true)
+    for a, b in [(24, 35), (25, 36)]:
+        graph.tie(a, b, match(a, b, se2.between(graph.pose[a], graph.pose[b])))
+    for a, b in LOOPS:
+        graph.tie(a, b, match(a, b, se2.between(true[a], true[b])))
+    graph.settle()
+    assert graph.contradicted == graph.wheeled == {32}
+    assert [c.accepted for c in graph.closures] == [False] * 2 + [True] * len(LOOPS)
+    assert np.hypot(*(graph.pose - true)[:, :2].T).max() < 0.15
+    assert [k for k in range(len(graph)) if graph.wheels_lead_to(k)] == [32]
+    steps, _ = graph.edges()
+    assert steps.measured[31] == pytest.approx(graph.nodes[32].wheels)
+    assert graph.copy().wheeled == {32}
+
+
+def test_wheels_that_contradict_scans_all_along_tell_of_no_slide():
+    graph, true = graph_with()
+    slid_at(graph, true, 32, 2.2)
+    wheeled(graph, true, off=0.6)
+    for a, b in LOOPS:
+        graph.tie(a, b, match(a, b, se2.between(true[a], true[b])))
+    graph.settle()
+    assert not graph.wheeled
+
+
+def test_scans_are_believed_against_wheels_that_slipped_where_no_places_tell_otherwise():
+    graph, true = graph_with(loops=LOOPS)
+    wheeled(graph, true)
+    graph.nodes[32] = graph.nodes[32]._replace(wheels=graph.nodes[32].wheels + np.array([2.0, 0.0, 0.0]))
+    for a, b in [(24, 35), (25, 36), (23, 37)]:  # places that look alike elsewhere
+        graph.tie(a, b, match(a, b, se2.compose(np.array([1.1, 0.0, 0.0]), se2.between(true[a], true[b]))))
+    graph.settle()
+    assert not graph.contradicted
+    assert np.allclose(se2.between(true, graph.pose), 0.0, atol=1e-3)
+
+
+def test_keyframes_that_leave_leave_what_wheels_told_to_the_next():
+    graph, true = graph_with()
+    wheeled(graph, true)
+    way = se2.compose(se2.compose(graph.nodes[5].wheels, graph.nodes[6].wheels), graph.nodes[7].wheels)
+    graph.leave(5, 6)
+    assert graph.nodes[5].wheels == pytest.approx(way)
+    graph.nodes[5] = graph.nodes[5]._replace(wheels=None)
+    graph.leave(4, 4)
+    assert graph.nodes[4].wheels is None
+
+
+def test_scans_up_to_a_keyframe_that_wheels_lead_to_are_those_after_the_one_before_it():
+    told = up_to(np.array([0, 3, 5]), np.array([False, True, False]), 8)
+    assert told.tolist() == [False, True, True, True, False, False, False, False]
 
 
 @pytest.mark.parametrize("away", [3.5, 5.0])

@@ -81,7 +81,8 @@ def step_covariance(
 class Keyframe(NamedTuple):
     """t [s]; local: (3,) pose in the robot's own frame; step: (3,) seen from its last keyframe (of the first: zero),
     cov: (3, 3) of it over x, y, theta of the keyframe's frame; path: [m] driven so far; beams: its returns; border: why
-    nobody knows the step well, so that a new segment begins here, empty where it is known.
+    nobody knows the step well, so that a new segment begins here, empty where it is known; wheels: (3,) the step as
+    odometry alone tells it, None where it does not.
     """
 
     robot: int
@@ -93,6 +94,7 @@ class Keyframe(NamedTuple):
     path: float
     beams: Beams
     border: str = ""
+    wheels: Float[np.ndarray, "3"] | None = None
 
 
 class KeyframeScan(NamedTuple):
@@ -132,13 +134,22 @@ class KeyframeMaker:
         self.last: Keyframe | None = None
         self._lines = np.zeros((3, 3))  # information of the walls on the latest pose
         self._wheels = np.zeros((3, 3))  # covariance of odometry since the last keyframe, in the latest robot frame
+        self._told: np.ndarray | None = np.zeros(3)  # what odometry tells since then
 
     def advance(
-        self, pose: Float[np.ndarray, "3"], step: Float[np.ndarray, "3"], lines: Float[np.ndarray, "3 3"]
+        self,
+        pose: Float[np.ndarray, "3"],
+        step: Float[np.ndarray, "3"],
+        lines: Float[np.ndarray, "3 3"],
+        told: Float[np.ndarray, "3"] | None = None,
     ) -> None:
-        """The robot is at `pose` now, after `step`; lines: information of the walls on it, robot-frame x, y, theta."""
+        """The robot is at `pose` now, after `step`; lines: information of the walls on it, robot-frame x, y, theta.
+
+        told: the step as odometry alone tells it, None where it does not.
+        """
         self.local, self.step, self._lines = pose, step, lines
         self._wheels = carried(self._wheels, step) + wheel_noise(step, self.cfg.noise)
+        self._told = None if told is None or self._told is None else np.asarray(se2.compose(self._told, told))
         self.path += float(np.hypot(step[0], step[1]))
 
     def covariance(self) -> Float[np.ndarray, "3 3"]:
@@ -161,9 +172,9 @@ class KeyframeMaker:
             if not border and np.hypot(step[0], step[1]) < self.cfg.distance and abs(step[2]) < self.cfg.turn:
                 return None
             cov = self.covariance() if weak is None else self.covariance() + weak
-            new = Keyframe(self.robot, self.last.number + 1, t, self.local, step, cov, self.path, b, border)
+            new = Keyframe(self.robot, self.last.number + 1, t, self.local, step, cov, self.path, b, border, self._told)
         self.last = new
-        self._wheels = np.zeros((3, 3))
+        self._wheels, self._told = np.zeros((3, 3)), np.zeros(3)
         return new
 
 
@@ -208,7 +219,7 @@ class KeyframeOdometry:
         """
         info = self.odometry.advance(scan, b, leapt=leapt, t=t)
         self.status = info.decision
-        self.maker.advance(self.odometry.pose, self.odometry.step, self.odometry.lines)
+        self.maker.advance(self.odometry.pose, self.odometry.step, self.odometry.lines, self.odometry.told)
         return info
 
     def keyframe(

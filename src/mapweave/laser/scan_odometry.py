@@ -91,6 +91,11 @@ def blended(
     return np.asarray(out)
 
 
+def up_to(at: Int[np.ndarray, " k"], these: Bool[np.ndarray, " k"], n: int) -> Bool[np.ndarray, " n"]:
+    """Which of `n` rows are one of `these` of the rows `at`, ascending, or lie between it and the one before it."""
+    return np.append(these, False)[np.searchsorted(at, np.arange(n))]
+
+
 SEEN_LEAST = 0.5  # of a scan's returns lie where the robot looked before, or nothing of it need match,
 BEAMS_LEAST = 0.1  # nor where fewer of its beams come back:
 ELSEWHERE = 3.0  # sd from where odometry puts it that a match is believed then
@@ -150,8 +155,9 @@ Gate = Callable[[Float[np.ndarray, "3"]], Float[np.ndarray, "3"]] | None
 class ScanOdometry:
     """A trajectory through all scans that drifts but never jumps. It belongs to one state, which `advance` changes.
 
-    poses: one a scan, the first zero; step: (3,) the latest motion; lines: (3, 3) information of the walls alone on
-    the latest pose, over robot-frame x, y, theta (zero where no match was taken; asked for by `tell_lines`).
+    poses: one a scan, the first zero; step: (3,) the latest motion; told: (3,) what odometry says of it, None where it
+    says nothing; lines: (3, 3) information of the walls alone on the latest pose, over robot-frame x, y, theta (zero
+    where no match was taken; asked for by `tell_lines`).
     gate: what deviations from odometry [m, m, rad] it allows for the sd of an increment; a match outside is refused
     and odometry taken. None: only a match of too few returns is refused. matching: False is odometry alone. worth:
     what is learned of the wheels, needs `tell_lines`; None: they are as any.
@@ -180,6 +186,7 @@ class ScanOdometry:
         self.poses = RowBuffer(3)
         self.odometry: np.ndarray | None = None
         self.step = np.zeros(3)
+        self.told: np.ndarray | None = None
         self.heading: float | None = None
         self._t: float | None = None  # of the latest scan [s]
         self._usual = 0.0  # time from scan to scan [s]
@@ -250,6 +257,7 @@ class ScanOdometry:
         leapt: its odometry was set anew, tells nothing. t: when the scan was taken [s]; None: nobody knows.
         """
         u, sd, alone = self.increment(None if leapt else scan.odometry, scan.heading, self._apart(t))
+        self.told = None if alone else u
         self.heading = scan.heading
         if not self._wheels_stand(scan.odometry):
             self._stood = None

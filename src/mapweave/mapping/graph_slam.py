@@ -23,14 +23,14 @@ from ..laser.joint_pass import JOINT_PASS_BEAMS, SCAN_AROUND, SCAN_BEAMS, joint_
 from ..laser.keyframes import Keyframe, KeyframeMaker, KeyframeOdometry, StepNoise, carried
 from ..laser.particle_slam import ParticleState
 from ..laser.robot_graph import RobotGraph
-from ..laser.scan_odometry import PoseEstimate, ScanInfo, blended, field_of_view
+from ..laser.scan_odometry import PoseEstimate, ScanInfo, blended, field_of_view, up_to
 from .borders import decide_borders
 from .config import LaserConfig
 from .keyframe_graph import KeyframeGraph
 from .known_places import KnownPlaces
 from .loops import LoopFinder
 from .places import PlaceIndex
-from .segments import CONTRADICTED, WHEELED, Borders, border_covariance
+from .segments import CONTRADICTED, FADED, WHEELED, Borders, border_covariance
 
 # of steps along the best particle's trajectory, which light holds where walls do not
 LINEAGE = StepNoise(wheels_xy=0.015, drift_xy=0.005, drift_turn=0.001)
@@ -60,9 +60,10 @@ class GraphState:
 
     odometry: scan odometry, or particles: the filter that finds the trajectory where light tells places apart; graph:
     the keyframes so far (of particles: none before the best lineage is known); known: what left it. Of every scan:
-    stamps t, scans their returns (`GONE` where the map does without them), sensors where the scanner stood; and of
-    particles lines what walls tell of its pose, cuts what parts it from the one before. keyframes, revisits: which scan
-    each is; unneeded: the scans whose returns went in the last step, all of them before scan `gone`.
+    stamps t, scans their returns (`GONE` where the map does without them), sensors where the scanner stood, reckoned
+    its pose as wheels tell every step, or else scans; and of particles lines what walls tell of its pose, cuts what
+    parts it from the one before. keyframes, revisits: which scan each is; unneeded: the scans whose returns went in the
+    last step, all of them before scan `gone`.
     """
 
     robot: str
@@ -75,6 +76,7 @@ class GraphState:
     feature: str
     calibration: IntensityCalibration | None
     t: RowBuffer = field(default_factory=RowBuffer)
+    reckoned: RowBuffer = field(default_factory=lambda: RowBuffer(3))
     scans: list[Beams] = field(default_factory=list)
     sensors: list[np.ndarray] = field(default_factory=list)
     lines: list[np.ndarray] = field(default_factory=list)
@@ -142,8 +144,10 @@ def step(
         state.cuts.append(_cut(state.borders, event.t, scan, matched, state.particles.odometry.step, leapt=leapt))
         return state, info
     info = state.odometry.advance(scan, b, leapt=leapt, t=event.t)
+    told = state.odometry.step if state.odometry.odometry.told is None else state.odometry.odometry.told
+    state.reckoned.append(se2.compose(state.reckoned[-1], told) if len(state.reckoned) else np.zeros(3))
     cut = _cut(state.borders, event.t, scan, info, state.odometry.step, leapt=leapt)
-    state.unneeded = _grow(state, cfg, len(state.scans) - 1, _keyframe(state.odometry.maker, event.t, b, cut))
+    state.unneeded = _grow(state, cfg, len(state.scans) - 1, segment_keyframe(state.odometry.maker, event.t, b, cut))
     for row in state.unneeded:
         state.scans[row] = GONE
     return state, info
@@ -160,10 +164,14 @@ def _cut(
     return SegmentBorder(why, weak, info.innovation if wheeled and info.decision == "matched" else None)
 
 
-def _keyframe(maker: KeyframeMaker, t: float, b: Beams, cut: SegmentBorder) -> Keyframe | None:
-    """The keyframe at the maker's latest pose, if there is one."""
+def segment_keyframe(maker: KeyframeMaker, t: float, b: Beams, cut: SegmentBorder) -> Keyframe | None:
+    """The keyframe at the maker's latest pose, if there is one; where views faded it lies where wheels say."""
     keyframe = maker.keyframe(t, b, cut.why, cut.weak)
-    if keyframe is None or cut.off is None:
+    if keyframe is None:
+        return None
+    if cut.why == FADED and keyframe.wheels is not None:  # the views before it had begun to fade
+        return keyframe._replace(step=keyframe.wheels, cov=border_covariance(keyframe.wheels, FADED))
+    if cut.off is None:
         return keyframe
     return keyframe._replace(step=np.asarray(se2.compose(keyframe.step, se2.inverse(cut.off))))
 
@@ -289,7 +297,7 @@ def _along_lineage(
     for row, pose in enumerate(poses):
         maker.advance(pose, se2.between(before, pose), state.lines[row])
         before = pose
-        _grow(grown, cfg, row, _keyframe(maker, float(state.t[row]), state.scans[row], state.cuts[row]))
+        _grow(grown, cfg, row, segment_keyframe(maker, float(state.t[row]), state.scans[row], state.cuts[row]))
         on_progress("loops", row + 1, len(poses))
     return poses, grown
 
@@ -312,8 +320,14 @@ def finalise(state: GraphState, cfg: LaserConfig, on_progress: Progress = no_pro
     robot = _robot_graph(grown, pose, cov, sensors[rows], cfg.graph.unsure)
     at = np.concatenate([rows, np.array(grown.revisits, np.int64)])
     order = np.argsort(at, kind="stable")
-    cut = np.array([bool(node.border) for node in graph.nodes] + [False] * len(robot.revisits))
-    poses = blended(local, at[order], np.concatenate([pose, robot.revisits.poses(pose)])[order], cut[order])
+    corrected = np.concatenate([pose, robot.revisits.poses(pose)])[order]
+    none = np.zeros(len(robot.revisits), dtype=bool)
+    led = np.concatenate([[graph.wheels_lead_to(i) for i in range(len(rows))], none])[order]
+    cut = np.concatenate([[bool(node.border) for node in graph.nodes], none])[order] & ~led
+    poses = blended(local, at[order], corrected, cut)
+    if led.any():
+        by = up_to(at[order], led, len(poses))
+        poses[by] = blended(state.reckoned.array, at[order], corrected)[by]
     if cfg.graph.last_pass:
         own = np.full(len(local), -1, np.int64)
         own[rows] = np.arange(len(rows))

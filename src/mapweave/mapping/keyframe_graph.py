@@ -25,6 +25,7 @@ RESOLVE_LEAST = 8  # new keyframes from which on the graph is solved anew, at le
 OUTWEIGHED = 3  # places that hold without a step and not with it: then it is the step that is wrong
 SLIPPED = 1.0  # sd, of a step over a border, that steps in a row may be wrong by: farther, the places are wrong
 ALONE = 5  # keyframes between two such rows, at least
+SLIPPERY = 0.05  # of the steps that wheels contradict: of more they tell nothing
 LOST = 10  # places more that hold without a step for each that held with it and does not any more
 NEAR, RIVALS = 3.0, 30  # sd of a step over a gap that places there may lie from it; times as many elsewhere
 DENIED = 10  # places that agree over views that faded, and none where the wheels say: it was carried
@@ -50,10 +51,10 @@ class KeyframeGraphConfig:
 
 class KeyframeGraph:
     """nodes: the keyframes in the order they came; pose: (n, 3) of each in `map`; of: each robot's, by number;
-    contradicted: the keyframes whose step places contradict, which is not believed then; loose: those after a border
-    whose step tells nothing, the robot having been carried; carried: those of them that views tell; unclear: those
-    after one that fit elsewhere about as well; crew: (M,) of each robot the first of those that share its frame;
-    `apart`: each has one of its own until it `meet`s.
+    contradicted: the keyframes whose step places contradict, which is not believed then; wheeled: those of them where
+    wheels tell what places do; loose: those after a border whose step tells nothing, the robot having been carried;
+    carried: those of them that views tell; unclear: those after one that fit elsewhere about as well; crew: (M,) of
+    each robot the first of those that share its frame; `apart`: each has one of its own until it `meet`s.
     """
 
     def __init__(self, cfg: KeyframeGraphConfig, starts: Float[np.ndarray, "M 3"], *, apart: bool = False) -> None:
@@ -63,6 +64,7 @@ class KeyframeGraph:
         if not apart:
             self.start_sd[1:] = START_SD
         self.contradicted: frozenset[int] = frozenset()
+        self.wheeled: frozenset[int] = frozenset()
         self.loose: frozenset[int] = frozenset()
         self.carried: frozenset[int] = frozenset()
         self.unclear: tuple[int, ...] = ()
@@ -105,7 +107,8 @@ class KeyframeGraph:
         """The same graph, which may grow and be solved without this one's knowing."""
         other = KeyframeGraph(self.cfg, np.array(self.starts))
         other.crew, other.start_sd = np.array(self.crew), np.array(self.start_sd)
-        other.contradicted, other.loose, other.carried = self.contradicted, self.loose, self.carried
+        other.contradicted, other.wheeled = self.contradicted, self.wheeled
+        other.loose, other.carried = self.loose, self.carried
         other.nodes, other.closures, other._since = list(self.nodes), list(self.closures), list(self._since)
         other.of = [list(of) for of in self.of]
         other.pose, other.robot, other.path = np.array(self.pose), self.robot, self.path
@@ -169,17 +172,21 @@ class KeyframeGraph:
         """
         after = self.nodes[last + 1]
         step, cov = np.zeros(3), np.zeros((3, 3))
+        wheels: np.ndarray | None = np.zeros(3)
         for node in self.nodes[first : last + 2]:
             step, cov = np.asarray(se2.compose(step, node.step)), carried(cov, node.step) + node.cov
+            wheels = None if wheels is None or node.wheels is None else np.asarray(se2.compose(wheels, node.wheels))
         border = next((node.border for node in self.nodes[first : last + 2] if node.border), "")
-        rest = [after._replace(step=step, cov=cov, border=border), *self.nodes[last + 2 :]]
+        rest = [after._replace(step=step, cov=cov, border=border, wheels=wheels), *self.nodes[last + 2 :]]
         self.nodes = self.nodes[:first] + [node._replace(number=first + k) for k, node in enumerate(rest)]
         self.of = [list(range(len(self.nodes)))]
         kept = np.delete(np.arange(len(self.pose)), np.arange(first, last + 1))
         self.pose, self.robot, self.path = self.pose[kept], self.robot[kept], self.path[kept]
         self._since = [self._since[k] for k in kept.tolist()]
         number = np.searchsorted(kept, np.arange(kept[-1] + 1)).tolist()
-        self.contradicted, self.loose = (frozenset(number[i] for i in of) for of in (self.contradicted, self.loose))
+        self.contradicted, self.wheeled, self.loose = (
+            frozenset(number[i] for i in of) for of in (self.contradicted, self.wheeled, self.loose)
+        )
         leaving = range(first, last + 1)
         before = len(self.closures)
         self.closures = [
@@ -230,16 +237,11 @@ class KeyframeGraph:
         """Steps and accepted closures, or all that were `tried`, over the same poses."""
         steps = [(of[n - 1], of[n]) for of in self.of for n in range(1, len(of))]
         steps.sort(key=lambda pair: pair[1])
-        later = [self.nodes[i] for _, i in steps]
-        covs = np.array(
-            [
-                border_covariance(node.step) if i in self.contradicted else LOOSE if i in self.loose else node.cov
-                for node, (_, i) in zip(later, steps, strict=True)
-            ]
-        ).reshape(-1, 3, 3)
+        told = [self._step(i) for _, i in steps]
+        covs = np.array([cov for _, cov in told]).reshape(-1, 3, 3)
         accepted = [c for c in self.closures if c.accepted or (tried and not c.reason.startswith(ELSEWHERE))]
         return (
-            PoseGraph.of(self.pose, steps, [node.step for node in later], list(np.linalg.inv(covs))),
+            PoseGraph.of(self.pose, steps, [step for step, _ in told], list(np.linalg.inv(covs))),
             PoseGraph.of(
                 self.pose,
                 [(c.first, c.second) for c in accepted],
@@ -247,6 +249,19 @@ class KeyframeGraph:
                 [c.information for c in accepted],
             ),
         )
+
+    def _step(self, i: int) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
+        """The step to keyframe `i` as it is believed, and its covariance."""
+        node = self.nodes[i]
+        if i in self.wheeled and node.wheels is not None:
+            return node.wheels, border_covariance(node.wheels, FADED)
+        loose = LOOSE if i in self.loose else node.cov
+        return node.step, border_covariance(node.step) if i in self.contradicted else loose
+
+    def wheels_lead_to(self, i: int) -> bool:
+        """Whether the step to keyframe `i` is the wheels', not the scans'."""
+        node = self.nodes[i]
+        return i in self.wheeled or (node.border == FADED and node.wheels is not None)
 
     def solve(self) -> None:
         """All poses at the optimum; closures that contradict the rest there are dropped, one after the other."""
@@ -295,7 +310,8 @@ class KeyframeGraph:
 
     def _decide(self, *, for_now: bool) -> None:
         """As `settle`, wheels being believed where they lead on."""
-        self.contradicted, self.loose, self._settled = frozenset(), self.carried, len(self)
+        self.contradicted, self.wheeled, self.loose = frozenset(), frozenset(), self.carried
+        self._settled = len(self)
         every = not for_now or len(self) >= ANEW * self._asked
         self._asked = len(self) if every else self._asked
         self._leave_rivals()
@@ -311,12 +327,13 @@ class KeyframeGraph:
         unasked = np.zeros(graph.edges, dtype=bool)
         unasked[[steps.edges + n for _, n in sorted(refused)[ASKED if every else 0 :]]] = True
         decided = solve_graph(graph, RobustGraphConfig(), doubtful=doubtful, unasked=unasked)
-        if not for_now and len(decided.dropped) >= OUTWEIGHED:
+        for wrong in () if for_now else (self._slid_steps, self._contradicted_steps):
             dropped = frozenset(d.edge - steps.edges for d in decided.dropped)
-            self.contradicted = self._contradicted_steps(steps, tried, dropped, unasked[steps.edges :])
-        if self.contradicted:
-            steps, _ = self.edges()
-            decided = solve_graph(steps.joined(tried), RobustGraphConfig(), doubtful=doubtful, unasked=unasked)
+            found = wrong(steps, tried, dropped, unasked[steps.edges :]) if len(dropped) >= OUTWEIGHED else frozenset()
+            if found:
+                self.contradicted |= found
+                steps, _ = self.edges()
+                decided = solve_graph(steps.joined(tried), RobustGraphConfig(), doubtful=doubtful, unasked=unasked)
         why = {d.edge - steps.edges: d.reason for d in decided.dropped}
         nis = decided.nis[steps.edges :]
         self.closures = list(before)
@@ -402,6 +419,40 @@ class KeyframeGraph:
                 elif c.reason.startswith(ELSEWHERE):
                     self.closures[n] = replace(c, reason=UNDECIDED)
 
+    def _slid_steps(
+        self, steps: PoseGraph, tried: PoseGraph, dropped: frozenset[int], unasked: Bool[np.ndarray, " t"]
+    ) -> frozenset[int]:
+        """The keyframes whose steps wheels tell otherwise than scans, and the places as the wheels: the scans slid.
+
+        With the wheels' steps `OUTWEIGHED` more places hold, and these are `wheeled` from now on; else there are none.
+        dropped, unasked: as of `_contradicted_steps`.
+        """
+        wheels = [(k, node.wheels) for k, i in enumerate(steps.second.tolist()) if not (node := self.nodes[i]).border]
+        told = PoseGraph.of(
+            steps.pose,
+            [(int(steps.first[k]), int(steps.second[k])) for k, step in wheels if step is not None],
+            [step for _, step in wheels if step is not None],
+            [np.linalg.inv(border_covariance(step, FADED)) for _, step in wheels if step is not None],
+        )
+        rows = np.array([k for k, step in wheels if step is not None], dtype=np.int64)
+        off = se2.between(told.measured, steps.measured[rows])
+        far = np.flatnonzero(np.einsum("ki,kij,kj->k", off, told.information, off) > CONTRADICTION)
+        if not 0 < len(far) <= SLIPPERY * len(rows):
+            return frozenset()
+        rows = rows[far]
+        weak = np.array([np.linalg.inv(border_covariance(step)) for step in steps.measured[rows]])
+        ends = steps.first[rows], steps.second[rows]
+        sure = steps.joined(PoseGraph(steps.pose, *ends, steps.measured[rows], weak))
+        both = sure.joined(PoseGraph(steps.pose, *ends, told.measured[far], told.information[far]))
+        doubtful = np.arange(both.edges + tried.edges) >= sure.edges
+        doubtful[rows] = True
+        out = np.concatenate([np.zeros(both.edges, dtype=bool), unasked])
+        decided = solve_graph(both.joined(tried), RobustGraphConfig(), doubtful=doubtful, unasked=out)
+        slid = ~decided.used[rows] & decided.used[sure.edges : both.edges]
+        gained = len(dropped) - int((~decided.used[both.edges :]).sum())
+        self.wheeled = frozenset(steps.second[rows[slid]].tolist() if gained >= OUTWEIGHED else [])
+        return self.wheeled
+
     def _contradicted_steps(
         self, steps: PoseGraph, tried: PoseGraph, dropped: frozenset[int], unasked: Bool[np.ndarray, " t"]
     ) -> frozenset[int]:
@@ -415,7 +466,7 @@ class KeyframeGraph:
         lies a weak one that holds always.
         """
         weak = np.array([np.linalg.inv(border_covariance(step)) for step in steps.measured])
-        sure = [k for k, i in enumerate(steps.second.tolist()) if not self.nodes[i].border]
+        sure = [k for k, i in enumerate(steps.second.tolist()) if not (self.nodes[i].border or i in self.wheeled)]
         both = PoseGraph(steps.pose, steps.first, steps.second, steps.measured, weak).joined(
             PoseGraph(steps.pose, steps.first[sure], steps.second[sure], steps.measured[sure], steps.information[sure])
         )
