@@ -113,18 +113,24 @@ def test_over_a_border_where_wheels_lead_on_they_are_known_to_err_the_less_the_l
     assert (far < np.sqrt(np.diag(border_covariance(np.array([2.0, 0.0, 1.0]))))).all()
 
 
-def test_the_keyframe_after_views_that_faded_lies_where_all_wheels_since_the_last_one_say():
-    maker, wheels = KeyframeMaker(0, KeyframeConfig()), np.array([0.2, 0.0, 0.1])
+@pytest.mark.parametrize(("scans", "slid"), [(-0.2, True), (0.0, True), (0.19, False)])
+def test_the_keyframe_after_views_that_faded_lies_where_wheels_say_since_the_last_one_if_scans_slid_before(scans, slid):
+    maker, wheels, seen = (
+        KeyframeMaker(0, KeyframeConfig(distance=1.0)),
+        np.array([0.2, 0, 0.1]),
+        np.array([scans, 0, 0]),
+    )
     maker.keyframe(0.0, GONE)
-    for k in range(1, 3):  # scans say that it stood
-        maker.advance(np.zeros(3), np.zeros(3), np.eye(3), wheels)
-        assert maker.keyframe(float(k), GONE) is None
-    maker.advance(np.zeros(3), np.zeros(3), np.eye(3), wheels)
-    cut = SegmentBorder(FADED, border_covariance(wheels, FADED), se2.inverse(wheels))
+    pose = np.zeros(3)
+    for k in range(1, 4):
+        maker.advance(pose := np.asarray(se2.compose(pose, seen)), seen, np.eye(3), wheels)
+        if k < 3:
+            assert maker.keyframe(float(k), GONE) is None
+    cut = SegmentBorder(FADED, border_covariance(wheels, FADED), se2.between(wheels, seen))
     made = segment_keyframe(maker, 3.0, GONE, cut)
-    way = se2.compose(se2.compose(wheels, wheels), wheels)
-    np.testing.assert_allclose(made.step, way)
-    np.testing.assert_allclose(made.cov, border_covariance(way, FADED))
+    way = se2.compose(se2.compose(wheels if slid else seen, wheels if slid else seen), wheels)
+    np.testing.assert_allclose(made.step, way, atol=1e-12)
+    assert np.array_equal(made.step, made.wheels) == slid
     assert made.border == FADED
 
 

@@ -23,6 +23,7 @@ from ..laser.joint_pass import JOINT_PASS_BEAMS, SCAN_AROUND, SCAN_BEAMS, joint_
 from ..laser.keyframes import Keyframe, KeyframeMaker, KeyframeOdometry, StepNoise, carried
 from ..laser.particle_slam import ParticleState
 from ..laser.robot_graph import RobotGraph
+from ..laser.robust_graph import CONTRADICTION
 from ..laser.scan_odometry import PoseEstimate, ScanInfo, blended, field_of_view, up_to
 from .borders import decide_borders
 from .config import LaserConfig
@@ -165,15 +166,18 @@ def _cut(
 
 
 def segment_keyframe(maker: KeyframeMaker, t: float, b: Beams, cut: SegmentBorder) -> Keyframe | None:
-    """The keyframe at the maker's latest pose, if there is one; where views faded it lies where wheels say."""
+    """The keyframe at the maker's latest pose, if there is one; where views faded and it slid, where wheels say."""
     keyframe = maker.keyframe(t, b, cut.why, cut.weak)
     if keyframe is None:
         return None
-    if cut.why == FADED and keyframe.wheels is not None:  # the views before it had begun to fade
-        return keyframe._replace(step=keyframe.wheels, cov=border_covariance(keyframe.wheels, FADED))
-    if cut.off is None:
+    if cut.off is not None:
+        keyframe = keyframe._replace(step=np.asarray(se2.compose(keyframe.step, se2.inverse(cut.off))))
+    if cut.why != FADED or keyframe.wheels is None:
         return keyframe
-    return keyframe._replace(step=np.asarray(se2.compose(keyframe.step, se2.inverse(cut.off))))
+    cov = border_covariance(keyframe.wheels, FADED)
+    off = se2.between(keyframe.wheels, keyframe.step)
+    slid = bool(off @ np.linalg.solve(cov, off) > CONTRADICTION)  # the views before had begun to fade, too
+    return keyframe._replace(step=keyframe.wheels, cov=cov) if slid else keyframe
 
 
 def current(state: GraphState) -> PoseEstimate:

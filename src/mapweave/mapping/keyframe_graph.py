@@ -261,7 +261,9 @@ class KeyframeGraph:
     def wheels_lead_to(self, i: int) -> bool:
         """Whether the step to keyframe `i` is the wheels', not the scans'."""
         node = self.nodes[i]
-        return i in self.wheeled or (node.border == FADED and node.wheels is not None)
+        if i in self.wheeled or node.border != FADED or node.wheels is None:
+            return i in self.wheeled
+        return np.array_equal(node.step, node.wheels)
 
     def solve(self) -> None:
         """All poses at the optimum; closures that contradict the rest there are dropped, one after the other."""
