@@ -8,7 +8,7 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.io.assemble import RawLog, RawScan
-from mapweave.io.scan_checks import GREATEST, OWN, REPEAT, moved_by, repeated, without_false_returns
+from mapweave.io.scan_checks import GREATEST, HELD, OWN, REPEAT, moved_by, repeated, without_false_returns
 
 from .test_scan_agreement import drive
 
@@ -45,6 +45,36 @@ def test_a_wall_beside_a_robot_that_drives_straight_on_is_no_part_of_it():
     assert not without_false_returns(still)[1]
     alone = [replace(scan, odometry=None) for scan in changed(scans, body)]
     assert not without_false_returns(alone)[1]
+
+
+def gripped(scan, sides):
+    """The scan as it is while something stands 0.12 m away in these directions, and 0.3 m in one beam."""
+    ranges = np.array(scan.ranges)
+    ranges[np.isin(np.arange(len(ranges)) * 6 // len(ranges), sides)] = 0.12
+    ranges[len(ranges) // 2] = 0.3
+    return replace(scan, ranges=ranges, hit=np.ones(len(ranges), bool))
+
+
+def all_round(scans):
+    return [replace(s, angle_min=-np.pi, angle_increment=2 * np.pi / len(s.ranges)) for s in scans]
+
+
+def test_hands_that_close_round_the_scanner_for_a_while_are_left_out_and_counted():
+    scans = all_round(drive(1))
+    out, left = without_false_returns([gripped(s, (0, 2, 4)) if 20 <= k < 40 else s for k, s in enumerate(scans)])
+    n = len(scans[0].ranges)
+    held = np.isin(np.arange(n) * 6 // n, (0, 2, 4))
+    held[n // 2] = True
+    assert left == {HELD: 20 * int(held.sum())}
+    assert np.array_equal(out[30].hit, ~held)
+    assert out[19] is scans[19]
+
+
+@pytest.mark.parametrize(("sides", "share"), [((0, 1), 0.2), ((0, 2, 4), 0.6), ((0,), 0.2)])
+def test_a_wall_on_one_side_a_narrow_place_and_what_is_small_are_left_alone(sides, share):
+    scans = all_round(drive(1))
+    near = [gripped(s, sides) if k < share * len(scans) else s for k, s in enumerate(scans)]
+    assert HELD not in without_false_returns(near)[1]
 
 
 @pytest.mark.parametrize("limit", [4.8, 5.5])

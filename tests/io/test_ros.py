@@ -138,6 +138,18 @@ def test_topics_are_chosen_by_name_and_else_the_fullest_is_taken_and_told(tmp_pa
     assert np.allclose(by_tf.odometry.pose[:, 0], [50, 51, 52, 53])
 
 
+@pytest.mark.parametrize("n", [30, 60])
+def test_scans_in_the_frame_that_others_hang_on_were_computed_of_them_and_are_left_out(tmp_path, n):
+    out = usual(tmp_path / "a.mcap")
+    for k in range(n):
+        out.scan(10.05 + 0.05 * k, np.full(N, 7.0), topic="/scan_multi", frame="base_link")
+    path = out.write()
+    log = read_laser(path)
+    assert len(log.scans) == 30
+    assert any("scan is read from /scan; there is also /scan_multi" in w for w in log.warnings)
+    assert len(read_laser(path, "1", LaserSource(scan_topic="/scan_multi")).scans) == n
+
+
 def test_a_sensor_mounted_upside_down_turns_its_beams_round(tmp_path):
     out = Recording(tmp_path / "a.mcap")
     out.tf(0.9, "base_link", "laser", x=0.3, yaw=0.2, roll=np.pi, topic="/tf_static")
@@ -203,6 +215,18 @@ def test_a_recording_cut_short_gives_what_was_readable_and_reports_the_loss(tmp_
     for a, b in zip(log.scans, whole.scans, strict=False):
         assert np.array_equal(a.ranges, b.ranges)
         assert np.array_equal(a.intensities, b.intensities)
+    assert np.allclose(log.scans[3].T_robot_sensor, [0.2, 0, 0])
+
+
+@pytest.mark.parametrize("kept", [1.0, 0.6])
+def test_a_recording_older_than_the_name_of_todays_header_is_read(tmp_path, kept):
+    path = usual(tmp_path / "a.bag", n=300).write()
+    old = path.read_bytes().replace(b"MSG: std_msgs/Header", b"MSG: roslib/Header  ")  # as long: the index fits
+    old = old.replace(b"std_msgs/Header", b"Header         ")
+    path.write_bytes(old[: int(kept * len(old))])
+    log = read_laser(path)
+    assert 0.3 * 300 < len(log.scans) <= (300 if kept == 1.0 else 240)
+    assert any("cut short" in w for w in log.warnings) == (kept < 1.0)
     assert np.allclose(log.scans[3].T_robot_sensor, [0.2, 0, 0])
 
 

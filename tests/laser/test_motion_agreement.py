@@ -102,6 +102,23 @@ def test_walls_are_straight_by_right_angles_and_bent_by_wrong_ones(factor):
     assert straight([replace(s, hit=~s.hit) for s in scans], factor) is None
 
 
+@pytest.mark.parametrize(("span", "share"), [(2 * np.pi, 1.0), (1.5 * np.pi, None)])
+def test_angles_that_close_all_round_are_right_where_no_walls_tell(span, share):
+    scans = [replace(s, hit=~s.hit, angle_increment=span / len(s.ranges)) for s in drive(9)]
+    assert straight(scans, 0.85) == share
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.15])
+def test_bent_walls_deny_angles_that_close_all_round(factor):
+    scans = [replace(s, angle_min=factor * s.angle_min, angle_increment=factor * s.angle_increment) for s in drive(9)]
+    beams = int(2 * np.pi / scans[0].angle_increment)
+    more = [
+        replace(s, ranges=np.pad(s.ranges, (0, beams - len(s.ranges))), hit=np.pad(s.hit, (0, beams - len(s.hit))))
+        for s in scans
+    ]
+    assert straight(more, factor) < 0.2
+
+
 def test_a_bare_corridor_tells_nothing_of_the_way_along_it():
     scans = drive(7, (400.0, 2.0))
     along = [scan for scan in scans if abs(np.sin(scan.odometry[2])) < 0.1]

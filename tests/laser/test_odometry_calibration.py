@@ -21,7 +21,9 @@ from mapweave.laser.odometry_calibration import (
     is_stated,
     sensor_poses,
     standard_errors,
+    with_lag,
 )
+from mapweave.mapping import laser_mapping
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import map_laser
 from mapweave.sim.laser_worlds import CorridorConfig, OfficeConfig, simulate_corridor, simulate_office
@@ -258,6 +260,26 @@ def test_a_fault_that_matters_is_mapped_away_and_told(office, right, name):
     assert made.scan_hash == log.scan_hash()
     again = sensor_poses(made.scans.pose, corrected(log, known).scans)
     assert not calibrate_odometry(log, again, BEAM).worth(stated=True).sum() > 1
+
+
+def test_a_lag_that_turns_tell_is_applied_unless_another_was_measured():
+    alone = with_lag(None, -0.25)
+    assert np.array_equal(alone.used(), at({"lag": -0.25}))
+    assert alone.observed.sum() == 1
+    every = np.ones(8, bool)
+    known = OdometryCalibration(at({"lag": 0.27}), np.full(8, 0.02), every, ~every, WheelNoise(), 0.1, 0.0, 50)
+    assert np.array_equal(with_lag(known, 0.25).used(), at({"lag": 0.27}))
+    assert np.array_equal(with_lag(known, 0.5).used(), NOMINAL)
+    assert np.array_equal(with_lag(replace(known, observed=~every), 0.5).used(), at({"lag": 0.5}))
+
+
+@pytest.mark.slow
+def test_a_lag_that_turns_alone_tell_is_mapped_away(office, right, monkeypatch):
+    monkeypatch.setattr(laser_mapping, "calibrate_odometry", lambda *_: None)
+    made = map_laser(planted(office.log, at({"lag": 0.3})), GRAPH, 0)
+    assert made.odometry_calibration.used()[4] == pytest.approx(0.3, abs=0.051)
+    assert "stamp-lag" not in {found.code for found in made.findings}
+    assert off(made, office) < 1.05 * off(right, office) + 0.01
 
 
 def test_wheels_of_another_unit_are_told_where_no_walls_tell_the_way():

@@ -410,7 +410,7 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
         ),
         "wheels-turns": FindingKind(
             "note",
-            "the scans turn {value:.3f} +- {sd:.3f} times as far as the wheels tell, and walls are straight",
+            "the scans turn {value:.3f} +- {sd:.3f} times as far as the wheels tell, and the beams' angles are right",
             "The wheels' turns have another scale; the map is made by the scans.",
             "Calibrate the wheels: their distance, or what scales their turns.",
         ),

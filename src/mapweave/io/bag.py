@@ -13,12 +13,14 @@ from pathlib import Path
 from typing import Any
 
 from rosbags.highlevel import AnyReader
+from rosbags.interfaces import Connection
+from rosbags.rosbag1 import Reader as Bag1
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from ..core.errors import ReaderError
 from .files import recording_suffix
-from .salvage import DAMAGE, Salvage, check_chunks, salvage
+from .salvage import DAMAGE, Salvage, check_chunks, salvage, with_header
 
 Stamped = tuple[str, int, Any]  # topic, recording time [ns], message
 STAMP = ("header.stamp.sec", "header.stamp.nanosec", "header.frame_id")
@@ -169,6 +171,14 @@ def open_bag(path: Path, kinds_read: Collection[str]) -> Bag:
     return Bag(path, kinds, dict(counts), "")
 
 
+class _Bag1(Bag1):  # type: ignore[misc]
+    """A ROS 1 recording of any year."""
+
+    def read_connection(self) -> Connection:
+        told = super().read_connection()
+        return told._replace(msgdef=told.msgdef._replace(data=with_header(told.msgdef.data)))
+
+
 @contextmanager
 def _reader(path: Path) -> Iterator[AnyReader]:
     """Reads the recording at `path`, whose format is that of its content whatever it is called."""
@@ -182,7 +192,10 @@ def _reader(path: Path) -> Iterator[AnyReader]:
             except OSError:  # where links need a privilege
                 shutil.copyfile(path, called)
         try:
-            with AnyReader([called], default_typestore=known_types()) as reader:
+            whole = AnyReader([called], default_typestore=known_types())
+            if not whole.is2:
+                whole.readers = [_Bag1(called)]
+            with whole as reader:
                 yield reader
         except DAMAGE as error:
             if called == path:

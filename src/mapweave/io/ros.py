@@ -183,13 +183,19 @@ def _hash_of(digest: str, robot: BagRobot) -> str:
 def _placed(
     frames: dict[str, str], bag: Bag, scans: Sequence[str], tf: Transforms, base: str, raw: RawLog, *, given: bool
 ) -> set[str]:
-    """The scan topics to use: all that tf places on the robot, one of each frame; else the first of all."""
-    placed = [topic for topic in scans if topic in frames and tf.sensor_pose(base, frames[topic]) is not None]
+    """The scan topics to use: all that tf places on the robot, one of each frame; else the first of all.
+
+    What is told in the robot's own frame, on which other scanners hang, was computed of their scans: none of those.
+    """
+    found = {topic: tf.sensor_pose(base, frames[topic]) for topic in scans if topic in frames}
+    at = {topic: pose[0] for topic, pose in found.items() if pose is not None}
+    hung = {above for topic in at for above in tf.chain(frames[topic])[1:]}
+    placed = [topic for topic, pose in at.items() if pose.any() or frames[topic] not in hung]
     used: dict[str, str] = {}
     for topic in placed[:1] if given else placed:
         used.setdefault(frames[topic], topic)
     kept = list(used.values()) or list(scans[:1])
-    why = "not placed by tf, or the same scanner as another topic" if placed else "another scanner is read"
+    why = "not placed by tf, computed, or the same scanner as another topic" if placed else "another scanner is read"
     for topic in (t for t in scans if t not in kept):
         raw.unused.append(Unused(raw.source, topic, bag.kinds[topic], bag.counts[topic], f"{why}; {CHOOSES} {topic}"))
     if left := [topic for topic in scans if topic not in kept]:

@@ -167,7 +167,7 @@ def _bag(data: bytes, at: int, out: Salvage, topics: dict[int, str], *, inside: 
             topics[number] = head["topic"].decode()
             kind = _ros2_name(about["type"].decode())
             out.kinds[topics[number]] = kind
-            out.definitions[kind] = about["message_definition"].decode(errors="replace")
+            out.definitions[kind] = with_header(about["message_definition"].decode(errors="replace"))
         elif code == 2:
             (number,) = struct.unpack("<I", head["conn"])
             sec, nsec = struct.unpack("<II", head["time"])
@@ -186,6 +186,11 @@ def _fields(data: bytes) -> dict[str, bytes]:
         out[name.decode(errors="replace")] = value
         at += 4 + size
     return out
+
+
+def with_header(definition: str) -> str:
+    """A ROS 1 type's text with the header under the name it has had since ROS Diamondback (2011)."""
+    return definition.replace("roslib/Header", "std_msgs/Header")
 
 
 def _ros2_name(kind: str) -> str:

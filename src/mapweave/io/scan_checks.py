@@ -1,8 +1,8 @@
 """What scans are asked while they are read: which returns are no walls, and whether they tell the wheels' motion.
 
-No walls are the robot's own body, and a greatest range that stands for nothing seen. Matched as walls they hold the
-robot in its place: what it carries along never moves against it, and a ring of greatest ranges stands round it wherever
-it is.
+No walls are the robot's own body, the hands of who carries it off, and a greatest range that stands for nothing seen.
+Matched as walls they hold the robot in its place: what it carries along never moves against it, nor does what carries
+it, and a ring of greatest ranges stands round it wherever it is.
 
 A scanner mounted turned, and ranges or odometry in other units, show in the motion. A wall point seen again at the same
 bearing lies nearer by the distance driven along the wall's normal, whatever the wall. So over moments of straight
@@ -36,6 +36,11 @@ FALSE_RETURN_APART = 0.25  # [m] or [rad] from one place that is looked at to th
 FALSE_RETURN_PLACES = 20  # that are looked at, at least,
 FALSE_RETURN_MOST_PLACES = 200  # and at most
 FALSE_RETURN_TURNED = 6.0  # [rad] in all from place to place: driving straight, walls stay where they are, too
+HELD_NEAR = 0.2  # [m] from the scanner, nearer than which hands and arms are of whoever carries the robot:
+HELD_SHARE = 0.25  # of its beams at least, and on no one side of it, as a wall is,
+HELD_REACH = 0.4  # [m] up to which they are left out then: arms are farther than hands;
+HELD_MOST = 0.5  # but in no more of its scans: a robot that is always so is in a narrow place
+
 FALSE_RETURN_SCANS = 20  # scans that are looked at for equal ranges, at least, and
 EQUAL_SHARE = (0.02, 0.9)  # of their returns that have exactly the greatest range of all,
 FALSE_RETURN_TIMES = 20.0  # as many as have any one range
@@ -62,16 +67,23 @@ FROZEN = 0.2  # [m] or [rad] that a robot drives while scans repeat one, from wh
 REPEAT = "scan that repeats the one before while the robot drives"
 
 OWN = "return of the robot itself"
+HELD = "return of what closed round the scanner for a while"
 GREATEST = "greatest range, which stands for no return"
 
 
 def without_false_returns(scans: Sequence[Scan]) -> tuple[list[Scan], Counter[str]]:
-    """The scans without such returns, and how many of either kind were left out. Needs `Scan.odometry` for its own."""
+    """The scans without such returns, and how many of each kind were left out. Needs `Scan.odometry` for its own."""
     out, count = list(scans), Counter[str]()
+    held = [closed_round(scan) for scan in scans]
+    if sum(near is not None for near in held) < HELD_MOST * len(scans):
+        for k, near in enumerate(held):
+            if near is not None:
+                count[HELD] += int(near.sum())
+                out[k] = _without(scans[k], near)
     for rows in _alike(scans):
         if len(rows) < FALSE_RETURN_SCANS:
             continue
-        group = [scans[k] for k in rows]
+        group = [out[k] for k in rows]
         far = stands_for_nothing(np.concatenate([scan.ranges[scan.hit] for scan in group]))
         depth = own_body(group)
         for k in rows:
@@ -81,6 +93,16 @@ def without_false_returns(scans: Sequence[Scan]) -> tuple[list[Scan], Counter[st
                 count.update({GREATEST: int(greatest.sum()), OWN: int((own & ~greatest).sum())})
                 out[k] = _without(scan, greatest | own)
     return out, +count
+
+
+def closed_round(scan: Scan) -> Bool[np.ndarray, " n"] | None:
+    """Which returns are of something that stands close round the scanner, on no one side; None where nothing does."""
+    near = scan.hit & (scan.ranges < HELD_NEAR)
+    if not near.any() or near.mean() < HELD_SHARE:
+        return None
+    way = np.sort(np.mod(scan.angles()[near], 2 * np.pi))
+    on_no_side = np.diff(way, append=way[0] + 2 * np.pi).max() < np.pi
+    return scan.hit & (scan.ranges < HELD_REACH) if on_no_side else None
 
 
 def repeated(scans: Sequence[Scan]) -> Bool[np.ndarray, " m"]:

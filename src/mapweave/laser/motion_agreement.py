@@ -39,6 +39,7 @@ MOTION_WALL = 0.8  # [rad] of a scan and more that one wall spans, whose straigh
 MOTION_STRAIGHT = 0.1  # [m] root mean square from a line, at most, by one of the two angles,
 MOTION_STRAIGHTER = 1.1  # times as straight as by the other
 MOTION_SHARE = 0.8  # of which say the same
+ALL_ROUND = 6.2  # [rad] of its beams from which on a scanner looks all round: angles that close cannot all be scaled
 
 SCANS = 200  # whose walls are looked at
 GUESSED = {"wheels-unlike", "scanner-askew", "scanner-turned"}  # what a reader finds before there is a map
@@ -138,7 +139,8 @@ def motion_agreement(poses: Float[np.ndarray, "m 3"], scans: Sequence[Scan], bea
 def straight(scans: Sequence[Scan], factor: float) -> float | None:
     """The share of walls that are straighter by the angles of `scans` than by `factor` times smaller ones.
 
-    None where too few walls tell. Seen by wrong angles a wall across many beams is bent.
+    None where too few walls tell. Seen by wrong angles a wall across many beams is bent. 1 where the scanner looks all
+    round, unless walls are bent.
     """
     stated, other = 0, 0
     for scan in scans[:: max(1, len(scans) // SCANS)]:
@@ -147,7 +149,9 @@ def straight(scans: Sequence[Scan], factor: float) -> float | None:
             here, there = (_off_line(scan.ranges[wall], angle[wall] / by) for by in (1.0, factor))
             stated += here <= MOTION_STRAIGHT and there > MOTION_STRAIGHTER * here
             other += there <= MOTION_STRAIGHT and here > MOTION_STRAIGHTER * there
-    return stated / (stated + other) if stated + other >= MOTION_WALLS else None
+    share = stated / (stated + other) if stated + other >= MOTION_WALLS else None
+    closed = all(len(scan.ranges) * abs(scan.angle_increment) > ALL_ROUND for scan in scans)
+    return 1.0 if closed and (share is None or share > 1 - MOTION_SHARE) else share
 
 
 def _walls(scan: Scan) -> list[slice]:

@@ -116,6 +116,7 @@ class WheelNoise:
 
 
 USUAL = 2  # standard errors
+LAG_TURNS_SD = 0.05  # [s] of a lag that turns alone tell
 DIGITS = np.array([0.1, 0.05, 0.01])  # [s] of a lag: the fewest that are within one standard error
 QUARTER = np.pi / 2
 NOISE = ("place", "turn_per_m", "turn", "place_sd", "turn_per_m_sd", "turn_sd")
@@ -365,6 +366,22 @@ def calibrate_odometry(log: LaserLog, sensor: Float[np.ndarray, "m 3"], beam: Be
         unheld=_longest_unheld(s, way),
         stretches=len(way),
     )
+
+
+def with_lag(found: OdometryCalibration | None, lag: float) -> OdometryCalibration:
+    """`found` with the lag [s] that turns alone tell applied, by its own value where it has one; None: that lag alone.
+
+    Of two values that are not of one lag neither is applied.
+    """
+    late = np.arange(8) == LAG
+    if found is None:
+        nothing = np.zeros(8, dtype=bool)
+        found = OdometryCalibration(NOMINAL, np.full(8, np.inf), nothing, nothing, WheelNoise(), 0.0, 0.0, 0)
+    if not found.observed[LAG]:
+        value, sd = np.where(late, lag, found.value), np.where(late, LAG_TURNS_SD, found.sd)
+        return replace(found, value=value, sd=sd, observed=found.observed | late, applied=found.applied | late)
+    same = abs(found.value[LAG] - lag) <= USUAL * np.hypot(found.sd[LAG], LAG_TURNS_SD)
+    return replace(found, applied=found.applied | (late & same))
 
 
 def corrected(log: LaserLog, calibration: OdometryCalibration) -> LaserLog:

@@ -44,6 +44,7 @@ from ..laser.odometry_calibration import (
     corrected,
     is_stated,
     sensor_poses,
+    with_lag,
 )
 from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import ScanOdometry, blended
@@ -302,12 +303,24 @@ def with_calibrated_wheels(
 def _found(
     log: LaserLog, mapped: LaserMap, scans: Sequence[Scan], cfg: LaserConfig, before: Bool[np.ndarray, "8"]
 ) -> OdometryCalibration | None:
-    """What the map that was made of `scans` tells of the log's own wheels; applied: what is worth it, and `before`."""
+    """What the map that was made of `scans` tells of the log's own wheels; applied: what is worth it, and `before`.
+
+    Worth it is also the lag that turns alone tell, which else makes a verdict doubtful.
+    """
     found = calibrate_odometry(log, sensor_poses(mapped.scans.pose, scans), cfg.beam)
+    if found is not None:
+        found = replace(found, applied=before | found.worth(stated=is_stated(log)))
+    late = stamp_lag(log.scan_t, np.unwrap(mapped.scans.pose[:, 2]), log.odometry) if _is_timed(log) else None
+    if late is not None and lag_found(late, None, log.robot):
+        found = with_lag(found, late)
     if found is None:
         return None
-    found = replace(found, applied=before | found.worth(stated=is_stated(log)))
     return found.usual(log.scans[0].T_robot_sensor)
+
+
+def _is_timed(log: LaserLog) -> bool:
+    """Whether its stamps are times."""
+    return not any(found.code in {"stamps-none", "stamps-equal"} for found in log.findings)
 
 
 def _check_reach(log: LaserLog, cfg: LaserConfig) -> None:
@@ -352,8 +365,7 @@ def map_session(
         clean, dead = bridged(clean, graph, track, dead)
     agreement = motion_agreement(result.scans.pose, clean.scans, session.cfg.beam)
     robot = log.robot
-    timed = not any(found.code in {"stamps-none", "stamps-equal"} for found in log.findings)
-    heading = np.unwrap(result.scans.pose[:, 2])
+    heading, timed = np.unwrap(result.scans.pose[:, 2]), _is_timed(log)
     lag, drift = (ask(log.scan_t, heading, clean.odometry) if timed else None for ask in (stamp_lag, clock_drift))
     disagreement = (
         *lag_found(lag, drift, robot),
