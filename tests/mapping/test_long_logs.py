@@ -7,9 +7,9 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.laser.robust_graph import solve_graph
-from mapweave.mapping import keyframe_graph, known_places, loops
+from mapweave.mapping import graph_slam, keyframe_graph, known_places
+from mapweave.mapping.graph_slam import LoopFinder
 from mapweave.mapping.known_places import KnownPlaces, KnownPlacesConfig
-from mapweave.mapping.loops import LoopFinder
 from mapweave.mapping.places import PlaceIndex
 
 from .test_spoilt_logs import LOOPS, graph_with, keyframe, match
@@ -110,7 +110,7 @@ def test_where_the_map_knows_a_place_no_more_those_that_were_decided_on_leave_an
 
 
 def test_a_submap_is_searched_for_among_the_nearest_where_there_are_many(monkeypatch):
-    monkeypatch.setattr(loops, "SEARCHED", 3)
+    monkeypatch.setattr(graph_slam, "SEARCHED", 3)
     graph, true = graph_with()
     finder = LoopFinder(PlaceIndex(), anchors=list(range(0, 40, 2)), way=[0.5 * k for k in range(60)])
     near = finder._old(graph, 50, 48)
@@ -121,7 +121,7 @@ def test_a_submap_is_searched_for_among_the_nearest_where_there_are_many(monkeyp
 
 
 def test_of_many_places_of_one_submap_those_nearest_to_the_estimate_are_kept(monkeypatch):
-    monkeypatch.setattr(loops, "FOUND", 2)
+    monkeypatch.setattr(graph_slam, "FOUND", 2)
     graph, true = graph_with()
     finder = LoopFinder(PlaceIndex(), anchors=[2, 4, 6, 42])
     shift = [np.array([x, 0.0, 0.0]) for x in (3.0, 0.1, 0.2)]

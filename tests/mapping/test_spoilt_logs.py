@@ -13,7 +13,7 @@ from mapweave.core.fixes import Fixes
 from mapweave.core.records import Track
 from mapweave.laser.pose_graph import PoseGraph
 from mapweave.laser.scan_odometry import blended
-from mapweave.mapping.borders import _hold_short
+from mapweave.mapping.graph_slam import _hold_short
 from mapweave.mapping.keyframe_graph import KeyframeGraph, KeyframeGraphConfig
 from mapweave.mapping.map_overlap import keyframe_map
 from mapweave.mapping.merge_search import hypotheses

@@ -1,17 +1,22 @@
 """Graph mapping: scan odometry in segments, places found again, one pose graph, and a last pass over everything.
 
-While scans come `step` drives the front end, makes keyframes, and looks for old places; `finalise` decides once more
-which of the places found hold, matches all keyframes jointly and lays every scan on them. Where light tells places
-apart the front end is the particle filter: its hypotheses find the trajectory along walls that say nothing, and its
-best lineage makes the keyframes.
+While scans come `step` drives the front end, makes keyframes, and searches for each new submap of them among all that
+came before; `finalise` decides once more which of the places found hold, matches all keyframes jointly and lays every
+scan on them. Where light tells places apart the front end is the particle filter: its hypotheses find the trajectory
+along walls that say nothing, and its best lineage makes the keyframes.
+
+Over a border between segments, of the places where what came after may lie, the one holds that both sides' views allow:
+in a building that looks alike in several places many more places may be found at a false one than at the right one. But
+there one side saw through what the other saw as walls, as between the maps of two robots.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import takewhile
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from ..core import se2
 from ..core.records import Event, Scan
@@ -19,18 +24,170 @@ from ..core.rows import RowBuffer
 from ..core.workers import Progress, no_progress
 from ..laser import particle_slam
 from ..laser.beam import STEERING, Beams, IntensityCalibration, beams
+from ..laser.closures import Matched
 from ..laser.joint_pass import JOINT_PASS_BEAMS, SCAN_AROUND, SCAN_BEAMS, joint_pass, lay_scans, neighbours, scan_cloud
 from ..laser.keyframes import Keyframe, KeyframeMaker, KeyframeOdometry, StepNoise, carried
 from ..laser.particle_slam import ParticleState
+from ..laser.place_search import Fit
 from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import PoseEstimate, ScanInfo, blended, field_of_view
-from .borders import decide_borders
 from .config import LaserConfig
-from .keyframe_graph import KeyframeGraph
+from .keyframe_graph import CARRIED, ELSEWHERE, NEAR, KeyframeGraph
 from .known_places import KnownPlaces
-from .loops import LoopFinder
-from .places import PlaceIndex
-from .segments import CONTRADICTED, WHEELED, Borders, border_covariance
+from .map_overlap import KeyframeMap
+from .merge_search import (
+    AGREE,
+    AGREE_TURN,
+    LEAST_ALIKE,
+    Candidate,
+    Hypothesis,
+    apart,
+    candidates,
+    hypotheses,
+    same_place,
+)
+from .places import PlaceIndex, PlaceMatch, PlaceSearchConfig
+from .segments import CONTRADICTED, LONG, REFUSED, WHEELED, Borders, border_covariance
+from .submaps import SUBMAP_AROUND, SUBMAP_EVERY, TURN_WAY, extent, make_submap, middles
+
+# what will do of a submap in the one before it, over a border between segments: correlation of headings, likelihood,
+# share of points on walls, points that hold it, another place as likely if it is not where the step over it may lead
+BORDER = PlaceSearchConfig(least_heading=0.0, least_score=0.35, least_share=0.45, least_held=12.0)
+LED = replace(BORDER, least_score=0.25, least_share=0.25, least_held=5.0)  # and where wheels lead over it
+BORDER_SDS = 3.0  # standard deviations from where the step over it puts it, by all three coordinates together
+SEARCHED = 400  # older submaps, the nearest, that one is searched for among, at most: some 2 km of way
+FOUND = 24  # places of one submap, those nearest to where the estimate has it, at most
+
+
+class Loop(NamedTuple):
+    """Keyframe `first` as seen from keyframe `second`, which is later or of another segment."""
+
+    first: int
+    second: int
+    match: PlaceMatch
+
+
+@dataclass(slots=True)
+class LoopFinder:
+    """The submaps of one robot as its keyframes come. `offer`, `finish` and `forget` change it.
+
+    anchors: keyframe of each submap of the index; way: [m] up to each keyframe, turning counted; segment: the keyframe
+    the latest segment begins with; made: how many submaps it has so far.
+    """
+
+    index: PlaceIndex
+    light: bool = False
+    anchors: list[int] = field(default_factory=list)
+    way: list[float] = field(default_factory=list)
+    segment: int = 0
+    made: int = 0
+
+    def copy(self) -> "LoopFinder":
+        """The same search, which may go on without this one's knowing."""
+        return replace(self, index=self.index.copy(), anchors=list(self.anchors), way=list(self.way))
+
+    def offer(self, graph: KeyframeGraph) -> list[Loop]:
+        """The latest keyframe of `graph` has come; what is found of the submaps that are complete now."""
+        i = len(graph) - 1
+        node = graph.nodes[i]
+        found = self.finish(graph) if node.border else []
+        step = se2.between(graph.nodes[i - 1].local, node.local) if i else np.zeros(3)
+        self.way.append((self.way[-1] if i else 0.0) + float(np.hypot(step[0], step[1]) + TURN_WAY * abs(step[2])))
+        if node.border:
+            self.segment, self.made = i, 0
+        return found + self._complete(graph, self.way[i] - SUBMAP_AROUND)
+
+    def finish(self, graph: KeyframeGraph) -> list[Loop]:
+        """The segment has ended with the keyframes there are: what is found of its last submaps."""
+        return self._complete(graph, np.inf)
+
+    def _complete(self, graph: KeyframeGraph, until: float) -> list[Loop]:
+        """The submaps whose middle lies up to `until` [m] of way, made and searched for."""
+        if len(self.way) == self.segment or until < self.way[self.segment] + (self.made + 0.5) * SUBMAP_EVERY:
+            return []
+        way = np.array(self.way[self.segment :])
+        found = []
+        for at in middles(way)[self.made :]:
+            if way[at] > until:
+                break
+            self.made += 1
+            low, high = extent(way, at)
+            first, nodes = self.segment + low, graph.nodes[self.segment + low : self.segment + high + 1]
+            q = [node.beams.q for node in nodes] if self.light else None
+            poses = np.array([node.local for node in nodes])
+            new = make_submap(self.segment + at, first, poses, [node.beams.s for node in nodes], q)
+            if new is not None:
+                old = self._old(graph, new.anchor, first)
+                number = self.index.add(new)
+                self.anchors.append(new.anchor)
+                matches = self._nearest(graph, number, self.index.search(number, old))
+                if number and first == self.segment and all(m.first != number - 1 for m in matches):
+                    matches += self._over_border(graph, number)
+                found += [Loop(self.anchors[m.first], new.anchor, m) for m in matches]
+        return found
+
+    def _old(self, graph: KeyframeGraph, anchor: int, first: int) -> Int[np.ndarray, " k"]:
+        """The submaps that one at keyframe `anchor`, which begins with keyframe `first`, is searched for among.
+
+        Work must not grow with the way: of many those nearest by the estimate, once something holds the segment in it.
+        """
+        old = np.array([k for k, at in enumerate(self.anchors) if self._apart(at, first)], dtype=np.int64)
+        if len(old) <= SEARCHED or not self._held(graph):
+            return old
+        away = np.hypot(*(graph.pose[np.array(self.anchors)[old], :2] - graph.pose[anchor, :2]).T)
+        return np.sort(old[np.argsort(away, kind="stable")[:SEARCHED]])
+
+    def _held(self, graph: KeyframeGraph) -> bool:
+        """Whether the latest segment is the first one, or places hold it."""
+        late = takewhile(lambda c: c.second >= self.segment, reversed(graph.closures))
+        return not self.segment or any(c.accepted for c in late)
+
+    def _nearest(self, graph: KeyframeGraph, number: int, found: list[PlaceMatch]) -> list[PlaceMatch]:
+        """Of the places found of submap `number` those nearest to where the estimate has it, in their order."""
+        if len(found) <= FOUND:
+            return found
+        anchors = graph.pose[[self.anchors[m.first] for m in found]]
+        there = np.asarray(se2.compose(anchors, np.array([m.measured for m in found])))
+        away = np.hypot(*(there[:, :2] - graph.pose[self.anchors[number], :2]).T)
+        return [found[k] for k in np.sort(np.argsort(away, kind="stable")[:FOUND]).tolist()]
+
+    def _over_border(self, graph: KeyframeGraph, number: int) -> list[PlaceMatch]:
+        """The first submap of a segment in the one before it, where less will do if it lies where the step puts it.
+
+        The smaller of the two is looked for in the other: of what a single scan sees most is in the submap before it.
+        """
+        before, new = self.anchors[number - 1], self.anchors[number]
+        last, border = graph.nodes[self.segment - 1], graph.nodes[self.segment]
+        ahead = se2.compose(se2.between(graph.nodes[before].local, last.local), border.step)
+        step = se2.compose(ahead, se2.between(border.local, graph.nodes[new].local))
+        on = se2.between(border.local, graph.nodes[new].local)
+        cov, rules = carried(border.cov, on), LED if border.border in WHEELED else BORDER
+        reach = BORDER_SDS * np.sqrt(np.diag(cov))
+        old, own = (len(self.index.submaps[k].points) for k in (number - 1, number))
+        if old <= own:
+            match = self.index.lay(number, number - 1, se2.inverse(step), reach, rules)
+        else:
+            match = self.index.lay(number - 1, number, step, reach, rules)
+            match = None if match is None else match.inverse()
+        if match is None or not match.clear:
+            return []
+        off = se2.between(step, match.measured)
+        return [match] if off @ np.linalg.solve(cov, off) <= BORDER_SDS**2 else []
+
+    def _apart(self, anchor: int, first: int) -> bool:
+        """Whether an old submap shares no way with one that begins with keyframe `first`."""
+        return anchor < self.segment or self.way[first] - self.way[anchor] > SUBMAP_AROUND
+
+    def forget(self, first: int, last: int) -> None:
+        """Keyframes `first` to `last` left the graph; those after them have other numbers."""
+        gone = last + 1 - first
+        keep = [k for k, anchor in enumerate(self.anchors) if not first <= anchor <= last]
+        self.index = self.index.select(keep)
+        self.anchors = [self.anchors[k] - (gone if self.anchors[k] > last else 0) for k in keep]
+        del self.way[first : last + 1]
+        if self.segment >= first:
+            self.segment = max(first, self.segment - gone)
+
 
 # of steps along the best particle's trajectory, which light holds where walls do not
 LINEAGE = StepNoise(wheels_xy=0.015, drift_xy=0.005, drift_turn=0.001)
@@ -357,3 +514,152 @@ def _robot_graph(
         calibration=state.calibration,
         revisits=replace(revisits, cov=unsure * revisits.cov),
     )
+
+
+LEAD = 2.5  # times the evidence of any other place that leaves no doubt
+LENIENT = 2.0  # times the share that two maps contradict of themselves, and
+BENDS = 0.01  # besides, for they bend: so much of what both saw may be unlike where they meet. Of maps in which people
+# walk that is nearly all: then another place may fit, too, but the best is the one that `LEAST_ALIKE` says
+SURELY = 1.0 - LENIENT * BENDS  # of it is alike where maps that nothing moved in meet: if less is, any other is doubt
+MOST_PAIRS = 5000  # of submaps of what came before and after that are searched: a second or two, however far it drove
+HELD = np.array([40.0, 40.0])  # points that hold a place which the search has let through, at least
+
+
+def decide_borders(graph: KeyframeGraph) -> tuple[int, ...]:
+    """Places over a border that lie elsewhere than what both sides saw agrees are left out, and the graph is settled.
+
+    Each segment of some length is laid where its places put it among all before it. Where wheels lead they decide, and
+    where it fits nowhere without contradiction (people, outdoors, bent walls) all places stay as they were decided. A
+    short one stays near what came before it or after it: no robot is carried twice at once.
+    Returns the keyframes whose segments fit elsewhere about as well.
+    """
+    cuts = [i for i, node in enumerate(graph.nodes) if i and node.border]
+    segment = np.searchsorted(np.array(cuts, dtype=np.int64), np.arange(len(graph)), side="right")
+    ends = np.array([(c.first, c.second) for c in graph.closures], dtype=np.int64).reshape(-1, 2)
+    low, high = np.sort(segment[ends], axis=1).T
+    if not (low < high).any():
+        return ()
+    first = np.array([0, *cuts])
+    last = np.array([*(k - 1 for k in cuts), len(graph) - 1])
+    long = graph.path[last] - graph.path[first] >= LONG
+    alone = graph.copy()
+    alone.closures = [c for c, within in zip(graph.closures, low == high, strict=True) if within]
+    alone.settle()
+    unclear = []
+    for s, k in enumerate(cuts, start=1):
+        after, over = np.flatnonzero(segment == s), np.flatnonzero((high == s) & (low < s)).tolist()
+        since = _since(graph, cuts[:s], long)
+        if not over or not long[s] or not since:
+            continue
+        a, b, found, ways = _ways(graph, k, over, alone.pose[after])
+        alike = 1.0 - min(LENIENT * (a.own + b.own + BENDS), 1.0)
+        best = max(ways, key=lambda c: c.evidence(max(alike, LEAST_ALIKE)))
+        if best.evidence(min(alike, LEAST_ALIKE)) <= 0.0:
+            continue
+        rival = max((c.evidence(alike) for c in ways if not same_place(b, c.transform, best.transform)), default=0.0)
+        if rival > 0.0 and (best.seen.share < SURELY or LEAD * rival >= best.evidence(alike)):
+            unclear.append(k)
+        share = f"{100.0 * best.seen.share:.0f} % of what both sides saw is alike"
+        away = apart(b, found, best.transform, 2.0 * AGREE, 2.0 * AGREE_TURN) > 1.0
+        _leave_out(graph, np.array(over)[away], share)
+        if away.all():
+            for h in best.members:
+                _tie(graph, h, a.pose[h.at], k, share)
+        carried_off = _away(graph, since[0] - 1, k, best.transform) > CARRIED
+        if carried_off:
+            graph.carried |= {next((i for i in since if graph.nodes[i].border == REFUSED), k)}
+        if carried_off or away.any():
+            graph.settle()
+    _hold_short(graph, segment, first, last, long)
+    return tuple(unclear)
+
+
+def _since(graph: KeyframeGraph, cuts: Sequence[int], long: Bool[np.ndarray, " s"]) -> Sequence[int]:
+    """Of the cuts those since a segment of some length; none where none came before or wheels lead over all."""
+    before = np.flatnonzero(long[: len(cuts)])
+    since = cuts[int(before[-1]) :] if len(before) else []
+    return since if any(graph.nodes[i].border not in WHEELED for i in since) else []
+
+
+def _ways(
+    graph: KeyframeGraph, k: int, over: Sequence[int], pose: Float[np.ndarray, "m 3"]
+) -> tuple[KeyframeMap, KeyframeMap, list[Hypothesis], list[Candidate]]:
+    """The maps before keyframe `k` and of its segment, places `over` the border, and transforms that are possible.
+
+    pose: of the segment's keyframes. Not only what those places tell: they are what leaves no doubt to who looks at a
+    few metres, and of rooms that look alike all may be of the wrong one.
+    """
+    a = _map(graph, np.arange(k), np.asarray(graph.pose[:k]))
+    b = _map(graph, np.arange(k, k + len(pose)), np.asarray(se2.between(pose[0], pose)))
+    found = [_hypothesis(graph, n, k, b) for n in over]
+    return a, b, found, [*candidates(a, b, found), *candidates(a, b, hypotheses(a, b, MOST_PAIRS))]
+
+
+def _hold_short(
+    graph: KeyframeGraph,
+    segment: Int[np.ndarray, " n"],
+    first: Int[np.ndarray, " s"],
+    last: Int[np.ndarray, " s"],
+    long: np.ndarray,
+) -> None:
+    """Places that put a segment of no length far from the long ones before and after it are left out."""
+    false = []
+    for n, c in enumerate(graph.closures):
+        i, j = sorted((c.first, c.second))
+        if not c.accepted or segment[i] == segment[j]:
+            continue
+        for at, other, seen in ((c.second, c.first, c.measured), (c.first, c.second, se2.inverse(c.measured))):
+            s = segment[at]
+            if long[s]:
+                continue
+            pose = np.asarray(se2.compose(graph.pose[other], seen))
+            before, after = np.flatnonzero(long[:s]), s + 1 + np.flatnonzero(long[s + 1 :])
+            near = [_away(graph, int(last[before[-1]]), at, pose)] if len(before) else []
+            near += [_away(graph, int(first[after[0]]), at, pose)] if len(after) else []
+            if near and min(near) > NEAR**2:
+                false.append(n)
+                break
+    if false:
+        _leave_out(graph, false, "it would have been carried twice")
+        graph.settle()
+
+
+def _tie(graph: KeyframeGraph, h: Hypothesis, at: Float[np.ndarray, "3"], k: int, share: str) -> None:
+    """A place that the search among places that leave no doubt had not found is on record, and holds."""
+    measured, information = se2.between(at, h.fit.pose), np.linalg.inv(h.fit.covariance)
+    found = Matched(True, share, measured, information, np.zeros(3), h.fit.share, None, h.score, h.ratio * h.score)
+    graph.close(h.at, k + h.anchor, found)
+
+
+def _leave_out(graph: KeyframeGraph, closures: Sequence[int] | Int[np.ndarray, " k"], why: str) -> None:
+    for n in np.asarray(closures, dtype=np.int64).tolist():
+        graph.closures[n] = replace(graph.closures[n], accepted=False, reason=f"{ELSEWHERE}, where {why}")
+
+
+def _away(graph: KeyframeGraph, start: int, end: int, pose: Float[np.ndarray, "3"]) -> float:
+    """How far `pose` lies from where the steps from keyframe `start` put keyframe `end` of its robot [squared sd]."""
+    low, high = sorted((start, end))
+    step, cov = np.zeros(3), np.zeros((3, 3))
+    for node in graph.nodes[low + 1 : high + 1]:
+        step, cov = np.asarray(se2.compose(step, node.step)), carried(cov, node.step) + node.cov
+    seen = se2.between(graph.pose[start], pose)
+    off = se2.between(step, seen if start == low else se2.inverse(seen))
+    return float(off @ np.linalg.solve(cov, off))
+
+
+def _map(graph: KeyframeGraph, rows: Int[np.ndarray, " k"], pose: Float[np.ndarray, "k 3"]) -> KeyframeMap:
+    nodes = [graph.nodes[i] for i in rows.tolist()]
+    return KeyframeMap("", pose, [n.beams.s for n in nodes], None, border=[n.border for n in nodes])
+
+
+def _hypothesis(graph: KeyframeGraph, n: int, k: int, b: KeyframeMap) -> Hypothesis:
+    """Place number `n`, found over the border before keyframe `k`, as one of map `b`, which begins with that."""
+    c = graph.closures[n]
+    swapped = c.first >= k
+    at, anchor = (c.second, c.first - k) if swapped else (c.first, c.second - k)
+    measured = se2.inverse(c.measured) if swapped else c.measured
+    pose = np.asarray(se2.compose(graph.pose[at], measured))
+    fit = Fit(pose, np.linalg.inv(c.information), 0, c.share, 0.0, HELD, np.array([1.0, 0.0]))
+    score = c.score or 0.0
+    transform = np.asarray(se2.compose(pose, se2.inverse(b.pose[anchor])))
+    return Hypothesis(at, anchor, transform, score, (c.runner_up or 0.0) / max(score, 1e-9), fit)
