@@ -28,7 +28,7 @@ from mapweave.exploration.landmarks.experiment import (
 )
 from mapweave.exploration.landmarks.team import Team
 from mapweave.fusion.handover import hand_over
-from mapweave.kernels.landmarks import ekf, ekf_drive, ekf_state
+from mapweave.kernels.landmarks import ekf
 from mapweave.kernels.landmarks.submap import sight_jacobian
 from mapweave.landmarks.config import EkfSlamConfig, noise
 from mapweave.landmarks.landmark_map import GlobalMap, Submap
@@ -357,7 +357,7 @@ def textbook(P: np.ndarray, marks: np.ndarray, script: list, u: np.ndarray, cfg:
 
 def compiled(P: np.ndarray, marks: np.ndarray, script: list, u: np.ndarray, cfg: SubmapConfig) -> float:
     """The same by the kernels `map` uses for its landmark logs: a step's sightings pass over P once, in place."""
-    n, n_marks = ekf_state.HEAD, len(marks)
+    n, n_marks = ekf.HEAD, len(marks)
     x = np.concatenate([np.zeros(3), [1.0, 1.0, 0.0, 0.0, 1.0], marks.ravel()])
     own = np.concatenate([np.arange(3), n + np.arange(2 * n_marks)])
     F = np.zeros((len(x), len(x)))
@@ -368,18 +368,16 @@ def compiled(P: np.ndarray, marks: np.ndarray, script: list, u: np.ndarray, cfg:
     )  # fmt: skip
     known, Phi = noise(config), np.zeros((3, n))
     waiting = np.zeros((n_marks, ekf.CANDIDATES, 2))
-    places = ekf_state.LandmarkTable(
-        np.ones(n_marks, bool), waiting, np.zeros(n_marks, np.int64), np.zeros(1, np.int64)
-    )
+    places = ekf.LandmarkTable(np.ones(n_marks, bool), waiting, np.zeros(n_marks, np.int64), np.zeros(1, np.int64))
     begun = time.process_time()
     for rows, z, _ in script:
         Phi[:, :3] = np.eye(3)
         Phi[:2, 2] = u[0] * cfg.period * np.array([-np.sin(x[2]), np.cos(x[2])])
         x[:3] = move(x[:3], u, cfg.period)
-        ekf_drive.apply_drive(F, len(x), Phi, cfg.Q.copy())
+        ekf.apply_drive(F, len(x), Phi, cfg.Q.copy())
         ranges, bearings = z.T.copy()
-        fit = ekf_state.UpdateOutcomes(np.empty(len(rows)), np.empty(len(rows)))
-        ekf.frame(x, F, ekf_state.CameraFrame(rows, ranges, bearings), known, places, fit)
+        fit = ekf.UpdateOutcomes(np.empty(len(rows)), np.empty(len(rows)))
+        ekf.frame(x, F, ekf.CameraFrame(rows, ranges, bearings), known, places, fit)
     return time.process_time() - begun
 
 

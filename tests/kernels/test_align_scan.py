@@ -16,7 +16,7 @@ from mapweave.kernels.laser.local_map import (
     solve3,
 )
 from mapweave.kernels.laser.refine import ScanCost, refine, stepped
-from mapweave.kernels.laser.windows import NearestRule, score
+from mapweave.kernels.laser.tiles import NearestRule, score
 from mapweave.laser.particle_grid import CellConfig, ParticleGrid
 
 pytestmark = pytest.mark.kernel

@@ -134,8 +134,7 @@ REFINED = """
 import hashlib
 import numpy as np
 from mapweave.kernels.laser.refine import ScanCost, refine
-from mapweave.kernels.laser.tiles import TileMaps
-from mapweave.kernels.laser.windows import NearestRule
+from mapweave.kernels.laser.tiles import NearestRule, TileMaps
 
 rng = np.random.default_rng(1)
 pool = rng.uniform(0.0, 1.6, 4 * 256).astype(np.float32)

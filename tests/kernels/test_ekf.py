@@ -5,14 +5,14 @@ import pytest
 
 from mapweave.core.gaussian import joseph
 from mapweave.core.se2 import wrap_angle
-from mapweave.kernels.landmarks import ekf, ekf_drive, ekf_state
+from mapweave.kernels.landmarks import ekf
 
 from ..differences import jacobian
 from . import robot_models as models
 
 pytestmark = pytest.mark.kernel
 
-PLAIN = ekf_state.Noise(
+PLAIN = ekf.Noise(
     along=0.05, across=0.02, drift=0.05, turn=0.04, rest_xy=0.0, rest_theta=0.0, lost_xy=0.06, lost_theta=0.3,
     hold=2.0, speed=0.0, speed_time=1.0, spin=0.0, spin_time=1.0, range_floor=0.05, range_share=0.045, bearing=0.014,
     range_inflation=1.0, bearing_inflation=1.0, gate=1e9, far=1e9, agree=1,
@@ -22,7 +22,7 @@ SILENT = PLAIN._replace(along=0.0, across=0.0, drift=0.0, turn=0.0)
 
 def random_state(seed, landmarks=3):
     rng = np.random.default_rng(seed)
-    size = ekf_state.HEAD + 2 * landmarks
+    size = ekf.HEAD + 2 * landmarks
     x = np.concatenate([rng.uniform(-1, 1, 3), [1.02, 0.93, 0.13, 0.01, 0.98], rng.uniform(2, 5, 2 * landmarks)])
     A = rng.normal(size=(size, size))
     return x, 1e-3 * (A @ A.T + np.eye(size))
@@ -30,14 +30,14 @@ def random_state(seed, landmarks=3):
 
 def cleared():
     Phi, Q = np.zeros((3, 8)), np.zeros((3, 3))
-    ekf_drive.clear(Phi, Q)
+    ekf.clear(Phi, Q)
     return Phi, Q
 
 
 def driven(head, until, commands, noise=SILENT, start=10.0):
     x = head.copy()
     Phi, Q = cleared()
-    ekf_drive.drive(x, Phi, Q, start, until, ekf_state.Commands(*commands), -1, noise)
+    ekf.drive(x, Phi, Q, start, until, ekf.Commands(*commands), -1, noise)
     return x, Phi, Q
 
 
@@ -50,11 +50,11 @@ def test_driving_is_the_unicycle_with_each_command_delayed_by_the_lag():
     x, _ = random_state(1)
     t, v, w = some_commands()
     got, _, _ = driven(x, 10.8, (t, v, w))
-    pose, now = x[:3].copy(), 10.0 + x[ekf_state.LAG]
+    pose, now = x[:3].copy(), 10.0 + x[ekf.LAG]
     for k in range(len(t)):
-        end = min(10.8, (t[k + 1] if k + 1 < len(t) else np.inf) + x[ekf_state.LAG])
+        end = min(10.8, (t[k + 1] if k + 1 < len(t) else np.inf) + x[ekf.LAG])
         if end > now:
-            pose = models.unicycle(pose, x[ekf_state.V_SCALE] * v[k], x[ekf_state.TURN_SCALE] * w[k], end - now)
+            pose = models.unicycle(pose, x[ekf.V_SCALE] * v[k], x[ekf.TURN_SCALE] * w[k], end - now)
             now = end
     assert np.allclose(got[:2], pose[:2], atol=1e-12)
     assert abs(wrap_angle(got[2] - pose[2])) < 1e-12
@@ -65,7 +65,7 @@ def test_the_derivative_of_driving_agrees_with_central_differences():
     x, _ = random_state(2)
     commands = some_commands()
     _, Phi, _ = driven(x, 10.81, commands)
-    for k in range(ekf_state.HEAD):
+    for k in range(ekf.HEAD):
         d = np.zeros(len(x))
         d[k] = 1e-6
         difference = (driven(x + d, 10.81, commands)[0] - driven(x - d, 10.81, commands)[0])[:3] / 2e-6
@@ -80,7 +80,7 @@ def test_driving_in_many_calls_is_driving_in_one():
     Phi, Q = cleared()
     now, at = 10.0, -1
     for until in np.linspace(10.01, 10.8, 60):
-        now, at = ekf_drive.drive(b, Phi, Q, now, until, ekf_state.Commands(t, v, w), at, PLAIN)
+        now, at = ekf.drive(b, Phi, Q, now, until, ekf.Commands(t, v, w), at, PLAIN)
     assert np.allclose(a, b, atol=1e-12)
     assert np.allclose(Phi_a, Phi, atol=1e-10)
     assert np.allclose(Q_a, Q, atol=2e-6)  # noise enters at the end of each step
@@ -89,9 +89,9 @@ def test_driving_in_many_calls_is_driving_in_one():
 def test_without_a_new_command_the_robot_stops_and_may_go_anywhere():
     x, _ = random_state(4)
     t, v, w = np.array([10.0]), np.array([0.2]), np.array([0.0])
-    held, _, Q_held = driven(x, 10.0 + x[ekf_state.LAG] + 2.0, (t, v, w), PLAIN)
-    later, _, Q_later = driven(x, 20.0 + x[ekf_state.LAG] + 2.0, (t, v, w), PLAIN)
-    assert np.allclose(np.hypot(*(held - x)[:2]), 0.4 * x[ekf_state.V_SCALE])
+    held, _, Q_held = driven(x, 10.0 + x[ekf.LAG] + 2.0, (t, v, w), PLAIN)
+    later, _, Q_later = driven(x, 20.0 + x[ekf.LAG] + 2.0, (t, v, w), PLAIN)
+    assert np.allclose(np.hypot(*(held - x)[:2]), 0.4 * x[ekf.V_SCALE])
     assert np.allclose(held[:3], later[:3])
     assert np.isclose(Q_later[2, 2] - Q_held[2, 2], 0.3**2 * 10.0)
 
@@ -104,8 +104,8 @@ def test_settling_equals_the_dense_prediction():
     wanted = F @ P @ F.T
     wanted[:3, :3] += Q
     packed = np.empty(6)
-    ekf_drive.pose_covariance(P, Phi, Q, packed)
-    ekf_drive.apply_drive(P, len(x), Phi, Q)
+    ekf.pose_covariance(P, Phi, Q, packed)
+    ekf.apply_drive(P, len(x), Phi, Q)
     assert np.allclose(P, wanted, atol=1e-14)
     assert np.allclose(packed, wanted[np.triu_indices(3)], atol=1e-14)
     assert np.array_equal(Phi, cleared()[0])
@@ -114,7 +114,7 @@ def test_settling_equals_the_dense_prediction():
 
 def predicted(x, slot):
     r, b = models.observe(x[:3], x[8 + 2 * slot : 10 + 2 * slot])
-    return np.array([x[ekf_state.RANGE_SCALE] * r, b + x[ekf_state.BEARING_BIAS]])
+    return np.array([x[ekf.RANGE_SCALE] * r, b + x[ekf.BEARING_BIAS]])
 
 
 @pytest.mark.parametrize("gate", [1e9, 0.01])
@@ -149,10 +149,10 @@ def test_a_frame_worked_in_at_once_is_its_sightings_one_by_one():
     slots, started = np.array([2, -1, 0, 1]), np.ones(3, bool)
     z = np.array([[3.0, 0.5], [1.0, 0.0], [4.0, 0.9], [2.5, 0.7]])
     astray = np.zeros(1, np.int64)
-    places = ekf_state.LandmarkTable(started, np.zeros((3, ekf.CANDIDATES, 2)), np.zeros(3, np.int64), astray)
+    places = ekf.LandmarkTable(started, np.zeros((3, ekf.CANDIDATES, 2)), np.zeros(3, np.int64), astray)
     nis, weight = np.zeros(4), np.zeros(4)
-    seen = ekf_state.CameraFrame(slots, z[:, 0].copy(), z[:, 1].copy())
-    ekf.frame(x, P, seen, noise, places, ekf_state.UpdateOutcomes(nis, weight))
+    seen = ekf.CameraFrame(slots, z[:, 0].copy(), z[:, 1].copy())
+    ekf.frame(x, P, seen, noise, places, ekf.UpdateOutcomes(nis, weight))
     U, alone = np.empty((2, len(y))), np.zeros(1, np.int64)
     for slot, (r, b) in zip(slots, z, strict=True):
         if slot >= 0:
@@ -170,10 +170,10 @@ def test_a_landmark_starts_where_it_was_seen_with_its_cross_covariances():
     z = np.array([2.5, 0.7])
 
     def place(y):
-        return models.locate(y[:3], np.array([y[8] / y[ekf_state.RANGE_SCALE], y[9] - y[ekf_state.BEARING_BIAS]]))
+        return models.locate(y[:3], np.array([y[8] / y[ekf.RANGE_SCALE], y[9] - y[ekf.BEARING_BIAS]]))
 
     G = jacobian(place, np.concatenate([x[:8], z]))
-    R = models.noise(2.5 / x[ekf_state.RANGE_SCALE], 0.05, 0.045, 0.014)
+    R = models.noise(2.5 / x[ekf.RANGE_SCALE], 0.05, 0.045, 0.014)
     old = P[:-2, :-2].copy()
     cross = np.zeros((2, len(old)))
     cross[:, :] = G[:, :8] @ old[:8]
@@ -198,7 +198,7 @@ def test_coasting_forgets_speed_and_turn_rate_and_keeps_their_spread():
     P[:, 3:5] = P[3:5, :] = 0.0
     P[3, 3], P[4, 4] = 0.1**2, 0.5**2
     noise = PLAIN._replace(speed=0.1, speed_time=2.0, spin=0.5, spin_time=1.0)
-    ekf_drive.coast(x, P, len(x), 3.0, noise)
+    ekf.coast(x, P, len(x), 3.0, noise)
     assert np.allclose(x[3:5], [0.1 * np.exp(-1.5), 0.4 * np.exp(-3.0)])
     assert np.allclose([P[3, 3], P[4, 4]], [0.1**2, 0.5**2])
     assert np.linalg.eigvalsh(P)[0] > -1e-12
@@ -216,8 +216,8 @@ def test_a_far_sighting_hardly_counts_unless_far_ones_keep_coming():
 
 def test_wrap_brings_angles_into_half_open_turn():
     for angle in (-7.0, -np.pi, 0.0, 3.0, np.pi, 9.5):
-        assert -np.pi <= ekf_state.wrap(angle) < np.pi
-        assert abs(wrap_angle(ekf_state.wrap(angle) - angle)) < 1e-12
+        assert -np.pi <= ekf.wrap(angle) < np.pi
+        assert abs(wrap_angle(ekf.wrap(angle) - angle)) < 1e-12
 
 
 def test_a_replay_stands_at_every_stamp_of_commands_and_sightings_until_both_have_ended():
@@ -230,28 +230,28 @@ def test_a_replay_stands_at_every_stamp_of_commands_and_sightings_until_both_hav
 
     def tables():
         waiting = np.zeros((3, ekf.CANDIDATES, 2))
-        return ekf_state.LandmarkTable(np.ones(3, bool), waiting, np.zeros(3, np.int64), np.zeros(1, np.int64))
+        return ekf.LandmarkTable(np.ones(3, bool), waiting, np.zeros(3, np.int64), np.zeros(1, np.int64))
 
     Phi, Q = cleared()
     track_t = np.full(60, np.nan)
     pose, cov = np.zeros((60, 3)), np.zeros((60, 6))
     rows, at = ekf.replay(
-        ekf_state.Belief(x, P, Phi, Q), 10.0, ekf_state.Commands(t, v, w), -1, 0,
-        ekf_state.SightingRows(stamp, slots, *z.T.copy()), PLAIN, tables(),
-        ekf_state.UpdateOutcomes(np.zeros(5), np.zeros(5)), ekf_state.PoseRows(track_t, pose, cov),
+        ekf.Belief(x, P, Phi, Q), 10.0, ekf.Commands(t, v, w), -1, 0,
+        ekf.SightingRows(stamp, slots, *z.T.copy()), PLAIN, tables(),
+        ekf.UpdateOutcomes(np.zeros(5), np.zeros(5)), ekf.PoseRows(track_t, pose, cov),
     )  # fmt: skip
     assert rows == len(want_t)
     np.testing.assert_array_equal(track_t[:rows], want_t)
     now, at_one, kept = 10.0, -1, tables()
     Phi, Q = cleared()
     for k, until in enumerate(want_t):
-        given = ekf_state.Commands(t[: np.searchsorted(t, until, "right")], v, w)
-        now, at_one = ekf_drive.drive(y, Phi, Q, now, until, given, at_one, PLAIN)
+        given = ekf.Commands(t[: np.searchsorted(t, until, "right")], v, w)
+        now, at_one = ekf.drive(y, Phi, Q, now, until, given, at_one, PLAIN)
         here = stamp == until
         if here.any():
-            ekf_drive.apply_drive(R, len(y), Phi, Q)
-            seen = ekf_state.CameraFrame(slots[here], z[here, 0].copy(), z[here, 1].copy())
-            ekf.frame(y, R, seen, PLAIN, kept, ekf_state.UpdateOutcomes(np.zeros(here.sum()), np.zeros(here.sum())))
+            ekf.apply_drive(R, len(y), Phi, Q)
+            seen = ekf.CameraFrame(slots[here], z[here, 0].copy(), z[here, 1].copy())
+            ekf.frame(y, R, seen, PLAIN, kept, ekf.UpdateOutcomes(np.zeros(here.sum()), np.zeros(here.sum())))
         np.testing.assert_allclose(pose[k, :2], y[:2], atol=1e-9)
     assert at == at_one
     np.testing.assert_allclose(x, y, atol=1e-9)
@@ -266,9 +266,7 @@ def test_sightings_of_one_place_agree_from_wherever_and_whichever_way_the_robot_
         x, _ = random_state(13)
         x[:3] = pose
         r, b = models.observe(x[:3], place)
-        said.append(
-            ekf.consider(x, 0, r * x[ekf_state.RANGE_SCALE], b + x[ekf_state.BEARING_BIAS], noise, waiting, count)
-        )
+        said.append(ekf.consider(x, 0, r * x[ekf.RANGE_SCALE], b + x[ekf.BEARING_BIAS], noise, waiting, count))
         np.testing.assert_allclose(waiting[0, len(said) - 1], place)
     assert said == [False, False, False, True]
 
@@ -278,9 +276,9 @@ def test_sightings_of_one_place_agree_from_wherever_and_whichever_way_the_robot_
 def test_two_sightings_agree_within_three_deviations_of_their_distance(said, away):
     x, _ = random_state(9)
     noise = PLAIN._replace(**({"range_floor": 0.02, "range_share": 0.03, "bearing": 0.01, "agree": 2} | said))
-    r, b = 4.0 / x[ekf_state.RANGE_SCALE], 0.4
+    r, b = 4.0 / x[ekf.RANGE_SCALE], 0.4
     one = noise.range_floor**2 + (noise.range_share * r) ** 2 + (noise.bearing * r) ** 2
-    place = models.locate(x[:3], np.array([r, b - x[ekf_state.BEARING_BIAS]]))
+    place = models.locate(x[:3], np.array([r, b - x[ekf.BEARING_BIAS]]))
     for side in np.array([[1.0, 0.0], [0.0, -1.0], [-0.6, 0.8]]):
         waiting, count = np.zeros((1, ekf.CANDIDATES, 2)), np.ones(1, np.int64)
         waiting[0, 0] = place + away * 3.0 * np.sqrt(2.0 * one) * side

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.kernels.landmarks import ekf_drive, ekf_state
+from mapweave.kernels.landmarks import ekf
 
 pytestmark = pytest.mark.kernel
 
-NOISE = ekf_state.Noise(
+NOISE = ekf.Noise(
     along=0.05, across=0.02, drift=0.05, turn=0.04, rest_xy=0.03, rest_theta=0.07, lost_xy=0.06, lost_theta=0.3,
     hold=2.0, speed=0.0, speed_time=1.0, spin=0.0, spin_time=1.0, range_floor=0.05, range_share=0.045, bearing=0.014,
     range_inflation=1.0, bearing_inflation=1.0, gate=1e9, far=1e9, agree=1,
@@ -22,9 +22,9 @@ def on_an_arc(Q, v, w, dt, *, known=True):
     """Noise after one arc that begins with `Q`; and the arc's shift and mean heading."""
     x = np.array([1.0, -2.0, HEADING, V_SCALE, TURN_SCALE, 0.1, 0.0, 1.0])
     Phi, unused = np.zeros((3, 8)), np.zeros((3, 3))
-    ekf_drive.clear(Phi, unused)
+    ekf.clear(Phi, unused)
     before, out = x.copy(), Q.copy()
-    ekf_drive.arc(x, Phi, out, v, w, dt, NOISE, known)
+    ekf.arc(x, Phi, out, v, w, dt, NOISE, known)
     return out, (x - before)[:2], HEADING + 0.5 * TURN_SCALE * w * dt
 
 
@@ -62,11 +62,11 @@ def test_arcs_and_their_derivative_by_the_turn_scale_are_exact_however_slight_th
     w = h / (0.5 * TURN_SCALE * dt)
     x = np.array([0.0, 0.0, HEADING, V_SCALE, TURN_SCALE, 0.1, 0.0, 1.0])
     Phi, Q = np.zeros((3, 8)), np.zeros((3, 3))
-    ekf_drive.clear(Phi, Q)
-    ekf_drive.arc(x, Phi, Q, v, w, dt, NOISE, True)
+    ekf.clear(Phi, Q)
+    ekf.arc(x, Phi, Q, v, w, dt, NOISE, True)
     np.testing.assert_allclose(x[:2], arc_end(TURN_SCALE, v, w, dt), rtol=1e-13)
     by_scale = arc_end(TURN_SCALE + 1e-30j, v, w, dt).imag / 1e-30
-    np.testing.assert_allclose(Phi[:2, ekf_state.TURN_SCALE], by_scale, rtol=1e-7)
+    np.testing.assert_allclose(Phi[:2, ekf.TURN_SCALE], by_scale, rtol=1e-7)
 
 
 @pytest.mark.parametrize("known", [True, False])

@@ -5,9 +5,9 @@ import pytest
 from scipy.linalg import eigh
 
 from mapweave.core.se2 import wrap_angle
-from mapweave.kernels.landmarks import ekf, ekf_drive, ekf_smooth
+from mapweave.kernels.landmarks import ekf, ekf_smooth
+from mapweave.kernels.landmarks.ekf import Commands, PoseRows, SightingRows
 from mapweave.kernels.landmarks.ekf_smooth import smooth
-from mapweave.kernels.landmarks.ekf_state import Commands, PoseRows, SightingRows
 
 from . import robot_models as models
 from .test_ekf import PLAIN, cleared
@@ -31,7 +31,7 @@ def problem():
     Phi, Q = cleared()
     now, at, z = 0.0, -1, np.zeros((18, 2))
     for k in range(18):
-        now, at = ekf_drive.drive(truth, Phi, Q, now, stamps[k], commands, at, NOISE)
+        now, at = ekf.drive(truth, Phi, Q, now, stamps[k], commands, at, NOISE)
         z[k] = models.observe(truth[:3], truth[8 + 2 * slots[k] : 10 + 2 * slots[k]])
         z[k] = x[7] * z[k, 0] + 0.002 * rng.normal(), z[k, 1] + x[6] + 0.001 * rng.normal()
     return x, commands, stamps, slots, z, np.unique(np.concatenate([t, stamps]))
@@ -58,7 +58,7 @@ def dense():
             moved = x.copy()
             moved[:3] = before
             Phi, Q = cleared()
-            now, at = ekf_drive.drive(moved, Phi, Q, now, nodes[k], commands, at, NOISE)
+            now, at = ekf.drive(moved, Phi, Q, now, nodes[k], commands, at, NOISE)
             J = np.zeros((3, 3 * n))
             J[:, 3 * k : 3 * k + 3] = np.eye(3)
             if k:
@@ -127,7 +127,7 @@ def test_coasting_the_chain_is_coasting_the_whole_state_and_its_derivative():
     y, F, Q = x.copy(), np.zeros((5, 5)), np.zeros((5, 5))
     ekf_smooth.coasted(y, 0.73, noise, F, Q)
     wanted, R = x.copy(), P.copy()
-    ekf_drive.coast(wanted, R, len(x), 0.73, noise)
+    ekf.coast(wanted, R, len(x), 0.73, noise)
     np.testing.assert_allclose(y, wanted, atol=1e-14)
     np.testing.assert_allclose(F @ P[:5, :5] @ F.T + Q, R[:5, :5], atol=1e-12)
     for k in range(5):

@@ -17,14 +17,11 @@ from mapweave.kernels.laser.icp import IcpRules, intensity_icp, sort_into_cells
 from mapweave.kernels.laser.joint_scans import BeamIndex, LineGate, ScanLines, beams_by_direction, match_pairs
 from mapweave.kernels.laser.local_map import MatchCost, ScanPoints, add_points, align_scan, count_matches, fit_lines
 from mapweave.kernels.laser.moving import BeamRanges, Thing, flat_faces, moving_returns
-from mapweave.kernels.laser.place_refine import fit_normals, lay_onto_lines
-from mapweave.kernels.laser.place_search import bound, stamp, turned_cells
+from mapweave.kernels.laser.place_search import bound, fit_normals, lay_onto_lines, stamp, turned_cells
 from mapweave.kernels.laser.pose_edges import edge_normal, edge_residuals, edge_squares
 from mapweave.kernels.laser.refine import ScanCost, refine, systematic
 from mapweave.kernels.laser.scan_laying import CellCounts, lay_scan, score_field
-from mapweave.kernels.laser.tile_writing import insert, touch
-from mapweave.kernels.laser.tiles import FLOATS, TileBooks, TileMaps, gather
-from mapweave.kernels.laser.windows import NearestRule, score
+from mapweave.kernels.laser.tiles import FLOATS, NearestRule, TileBooks, TileMaps, gather, insert, score, touch
 from mapweave.kernels.mapping.places import Clouds, SearchedField, SearchRules, heading_peaks, search_submaps
 from mapweave.kernels.walls.segments import (
     Raster,
@@ -284,8 +281,8 @@ KERNELS = [
 ]
 MADE_BY_US = {
     # modules whose numbers make no index, or whose indices are made by their callers from lengths of lists
-    "block_cholesky", "cells", "compiling", "dense", "elimination", "fronts", "laps",
-    "tours", "wavefront", "ekf", "ekf_drive", "ekf_smooth", "ekf_state",
+    "block_cholesky", "cells", "compiling", "dense", "elimination",
+    "tours", "wavefront", "ekf", "ekf_smooth",
     "submap",
 }  # fmt: skip
 

@@ -7,7 +7,7 @@ from mapweave.core import se2
 from mapweave.core.records import frozen
 from mapweave.kernels.laser.scan_laying import score_field
 from mapweave.laser.laser_map import GridMap
-from mapweave.laser.likelihood_field import nearest_field
+from mapweave.laser.localise_trust import nearest_field
 
 
 @pytest.mark.kernel

@@ -8,17 +8,17 @@ from mapweave.exploration.landmarks import coverage
 from mapweave.exploration.landmarks.config import ExploreConfig
 from mapweave.exploration.landmarks.objective import steer
 from mapweave.exploration.landmarks.team import Team
-from mapweave.kernels.exploration.laps import (
+from mapweave.kernels.exploration.objective import (
     LandmarkSensor,
     LapRules,
     add_landmark_information,
     drive_laps,
     landmark_errors,
     lap_sightings,
+    mark_half_disc,
     odometry_information,
     seen_shares,
 )
-from mapweave.kernels.exploration.objective import mark_half_disc
 from mapweave.kernels.landmarks.submap import sight_jacobian
 from mapweave.kernels.walls.segments import Raster, Sector
 from mapweave.landmarks.submap_slam import SubmapConfig, move

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mapweave.kernels.laser.refine import ScanCost, refine, systematic
-from mapweave.kernels.laser.windows import NearestRule
+from mapweave.kernels.laser.tiles import NearestRule
 from mapweave.laser.particle_grid import CELL_CAP, MOST_WEIGHT, CellConfig, ParticleGrid
 
 pytestmark = pytest.mark.kernel

@@ -9,8 +9,7 @@ from mapweave.core import se2
 from mapweave.laser import localise_trust
 from mapweave.laser.beam import Beams
 from mapweave.laser.laser_map import GridMap
-from mapweave.laser.likelihood_field import nearest_field
-from mapweave.laser.localise_trust import LEAST_OCCUPANCY, LocalisedScan, TrustConfig, evidence
+from mapweave.laser.localise_trust import LEAST_OCCUPANCY, LocalisedScan, TrustConfig, evidence, nearest_field
 
 CELL = 0.1
 RNG = np.random.default_rng(5)

@@ -6,7 +6,7 @@ import pytest
 from mapweave.core import se2
 from mapweave.core.errors import DataError
 from mapweave.core.records import frozen
-from mapweave.kernels.laser.place_refine import fit_normals, lay_onto_lines
+from mapweave.kernels.laser.place_search import fit_normals, lay_onto_lines
 from mapweave.laser.place_search import (
     FULL,
     PLACE_APART,
@@ -16,12 +16,14 @@ from mapweave.laser.place_search import (
     Window,
     brightness,
     everywhere,
+    gathered,
     headings,
     likelihood_field,
+    query_around,
     refine,
     search,
+    voxelled,
 )
-from mapweave.laser.submaps import gathered, query_around, voxelled
 
 
 def walls(rng: np.random.Generator, count: int = 8, size: float = 6.0) -> np.ndarray:

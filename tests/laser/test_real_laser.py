@@ -11,7 +11,7 @@ from mapweave.evaluation.trajectory import exact_pairs, nearest, score_relations
 from mapweave.io.landmark_truth import read_relations
 from mapweave.io.laser_logs import read_laser
 from mapweave.kernels.laser.refine import ScanCost, refine
-from mapweave.kernels.laser.windows import NearestRule
+from mapweave.kernels.laser.tiles import NearestRule
 from mapweave.laser.beam import beams
 from mapweave.laser.particle_grid import ParticleGrid
 from mapweave.laser.particle_slam import as_points

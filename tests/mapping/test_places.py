@@ -7,7 +7,7 @@ from mapweave.core import se2
 from mapweave.kernels.laser.place_search import FULL
 from mapweave.kernels.mapping.places import Clouds, heading_peaks
 from mapweave.laser.place_search import likelihood_field
-from mapweave.laser.wall_directions import BINS
+from mapweave.laser.scan_matching import BINS
 from mapweave.mapping import places
 from mapweave.mapping.places import FIELD, PlaceIndex, PlaceMatch, PlaceSearchConfig
 from mapweave.mapping.submaps import SUBMAP_POINTS, PlaceSubmap, make_submap, middles, signature, way_of

@@ -66,7 +66,7 @@ class SimulatedTeam(ResultBase, TeamRecording):
     def draw(self, target: Target) -> None:
         """The landmarks and the true trajectories."""
         ways = {f"robot {r.number}": r.truth[:, 1:3] for r in self.robots}
-        _draw(target, "the simulated team", ways, np.array(list(self.landmarks.values())).reshape(-1, 2))
+        draw_world(target, "the simulated team", ways, np.array(list(self.landmarks.values())).reshape(-1, 2))
 
     def write_into(self, folder: Path) -> None:
         """The MRCLAM layout and `simulation.json`."""
@@ -168,7 +168,7 @@ class SimulatedDrive(ResultBase, LaserSimulation):
     def draw(self, target: Target) -> None:
         """The walls and the true trajectory."""
         walls = self.world.segments.reshape(-1, 4)
-        _draw(target, "the simulated drive", {"true way": self.truth.pose[:, :2]}, walls=walls)
+        draw_world(target, "the simulated drive", {"true way": self.truth.pose[:, :2]}, walls=walls)
 
     @checked_arguments
     def write(self, folder: Path | str, *, force: bool = False) -> None:
@@ -313,7 +313,7 @@ class SimulatedSwarm(ResultBase, Swarm):
     def draw(self, target: Target) -> None:
         """Where the robots are at first, and who sees whom."""
         pairs = zip(self.table.observer.tolist(), self.table.target.tolist(), strict=True)
-        _draw(target, "the simulated swarm", {}, self.position[0, :, :2], pairs=list(pairs))
+        draw_world(target, "the simulated swarm", {}, self.position[0, :, :2], pairs=list(pairs))
 
     @checked_arguments
     def write(self, folder: Path | str, *, force: bool = False) -> None:
@@ -433,7 +433,7 @@ class SimulatedMixedTeam(ResultBase, MixedRecording):
         """Walls, landmarks and the true trajectories."""
         ways = {f"robot {r.number}, {r.kind}": r.truth.pose[:, :2] for r in self.robots}
         points = np.array(list(self.landmarks.values())).reshape(-1, 2)
-        _draw(target, "the simulated team", ways, points, walls=self.walls.segments)
+        draw_world(target, "the simulated team", ways, points, walls=self.walls.segments)
 
     @property
     def truth(self) -> TrueTeam:
@@ -575,7 +575,3 @@ def simulate_team(
 
 def _driven(way: np.ndarray) -> float:
     return float(np.hypot(*np.diff(way[:, :2], axis=0).T).sum())
-
-
-def _draw(*world: Any, **parts: Any) -> None:
-    draw_world(*world, **parts)

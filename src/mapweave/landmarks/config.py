@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from ..core.config import config
 from ..core.errors import ConfigError
-from ..kernels.landmarks.ekf_state import Noise
+from ..kernels.landmarks.ekf import Noise
 
 REST_XY = 1e-4  # [m / sqrt(s)] of wandering in place, always there
 REST_THETA = 1e-4  # [rad / sqrt(s)] of the heading

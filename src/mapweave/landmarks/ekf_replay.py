@@ -12,7 +12,7 @@ from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.records import Track
 from ..core.run import Step, run
 from ..kernels.landmarks import ekf_smooth
-from ..kernels.landmarks.ekf_state import RANGE_SCALE, Commands, PoseRows, SightingRows
+from ..kernels.landmarks.ekf import RANGE_SCALE, Commands, PoseRows, SightingRows
 from . import ekf_slam
 from .config import EkfSlamConfig, track_noise
 from .landmark_map import Submap

@@ -13,9 +13,8 @@ from jaxtyping import Bool, Float, Int
 
 from ..core.records import Event, LandmarkPacket, Odometry, Sightings, Track, frozen
 from ..kernels.landmarks import ekf
-from ..kernels.landmarks.ekf import CANDIDATES
-from ..kernels.landmarks.ekf_drive import apply_drive, clear
-from ..kernels.landmarks.ekf_state import (
+from ..kernels.landmarks.ekf import (
+    CANDIDATES,
     HEAD,
     POSE,
     RANGE_SCALE,
@@ -25,6 +24,8 @@ from ..kernels.landmarks.ekf_state import (
     PoseRows,
     SightingRows,
     UpdateOutcomes,
+    apply_drive,
+    clear,
 )
 from .config import EkfSlamConfig, calibration_prior, noise
 from .landmark_map import Submap
@@ -40,7 +41,7 @@ class UpdateStatus(Enum):
 
 @dataclass(frozen=True, slots=True)
 class EkfSlamState:
-    """The estimate and what the next event needs. Layout of `x` and `P`: see `kernels.ekf_state`.
+    """The estimate and what the next event needs. Layout of `x` and `P`: see `kernels.landmarks.ekf`.
 
     ids: landmark of each slot, `started` or still waiting; t: None before the first event; commands: those not yet
     worked off, the one in force first when `at` is 0.

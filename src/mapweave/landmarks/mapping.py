@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from ..core.findings import Finding
 from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.records import Odometry, Track
-from ..kernels.landmarks.ekf_state import HEAD, POSE, RANGE_SCALE
+from ..kernels.landmarks.ekf import HEAD, POSE, RANGE_SCALE
 from . import ekf_slam
 from .config import (
     PIECE_GAP,

@@ -22,8 +22,16 @@ from ..kernels.laser.refine import systematic
 from .beam import Beams, beams
 from .config import FILTER_LEAST_BEAMS, Feature, LaserTrackingConfig, weighed
 from .laser_map import GridMap, IntensityCalibration, ScanInfos, ScanRecords
-from .likelihood_field import NearestField, nearest_field
-from .localise_trust import LEAST_OCCUPANCY, TRUST_SCANS, Evidence, LocalisedScan, TrustConfig, evidence
+from .localise_trust import (
+    LEAST_OCCUPANCY,
+    TRUST_SCANS,
+    Evidence,
+    LocalisedScan,
+    NearestField,
+    TrustConfig,
+    evidence,
+    nearest_field,
+)
 from .scan_odometry import ScanInfo, ScanOdometry, blended
 from .sweep import swept_by_wheels
 

@@ -7,9 +7,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..core.config import config
-from ..kernels.laser import tile_writing, tiles
-from ..kernels.laser.tiles import TileBooks, TileMaps
-from ..kernels.laser.windows import NearestRule, score
+from ..kernels.laser import tiles
+from ..kernels.laser.tiles import NearestRule, TileBooks, TileMaps, score
 
 MOST_WEIGHT = 30.0  # W is capped, so that a map can still change
 CELL_CAP = 0.04  # [m^2] greatest D a beam is charged
@@ -99,7 +98,7 @@ class ParticleGrid:
         places = np.empty((len(rows), len(points)), np.int64)
         jobs, done = 0, False
         while not done:
-            self.n_free, jobs, done = tile_writing.touch(
+            self.n_free, jobs, done = tiles.touch(
                 self.tile_maps, rows, self._books, poses, points, self.jobs, jobs, places
             )
             if not done and self.n_free == 0:
@@ -107,7 +106,7 @@ class ParticleGrid:
             elif not done:
                 self.used = np.pad(self.used, ((0, 0), (0, self.used.shape[1])))
         tiles.copy_tiles(self.pool, self.jobs, jobs)
-        tile_writing.insert(self.pool, places, poses, points, weights, MOST_WEIGHT)
+        tiles.insert(self.pool, places, poses, points, weights, MOST_WEIGHT)
 
     def resample(self, ancestors: Rows) -> None:
         """Map i becomes a copy of map ancestors[i]; who is an ancestor stays in its own place."""

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from ..core import se2
 from ..core.records import Event, Scan
 from ..kernels.laser.refine import ScanCost, refine, systematic
-from ..kernels.laser.windows import NearestRule
+from ..kernels.laser.tiles import NearestRule
 from .beam import STEERING, Beams, IntensityCalibration, beams
 from .config import (
     FILTER_LEAST_BEAMS,

@@ -18,7 +18,19 @@ from ..kernels.laser.beams import spacing
 from ..kernels.laser.local_map import MatchCost, ScanPoints, add_points, align_scan, count_matches, fit_lines
 from ..kernels.mapping.places import heading_peaks
 from .beam import Beams
-from .wall_directions import BINS, spectrum
+
+BINS = 360  # directions
+SMOOTH = 2.0  # [bins] by which they are smoothed
+_AWAY = np.minimum(np.arange(BINS), BINS - np.arange(BINS))
+_SMOOTHING = np.fft.rfft(np.exp(-0.5 * np.square(_AWAY / SMOOTH)))
+
+
+def spectrum(amount: Float[np.ndarray, " bins"]) -> Complex[np.ndarray, " f"]:
+    """Of how much wall faces each direction, smoothed, the mean off."""
+    out = np.fft.rfft(amount) * _SMOOTHING
+    out[0] = 0.0
+    return np.asarray(out)
+
 
 FRONT_END_AGREE = 0.5  # least cosine between a beam's normal and its cell's
 

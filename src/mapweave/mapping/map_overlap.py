@@ -16,10 +16,10 @@ from ..core.findings import Finding
 from ..core.names import robot_name
 from ..core.records import freeze, frozen
 from ..core.rows import spread
-from ..kernels.laser.place_refine import fit_normals
+from ..kernels.laser.place_search import fit_normals
 from ..kernels.walls.sight import Looks, judge_walls
+from ..laser.place_search import gathered
 from ..laser.robot_graph import RobotGraph
-from ..laser.submaps import gathered
 from .submaps import PlaceSubmap, extent, make_submap, middles, way_of
 
 VIEW_REACH = 8.0  # [m] views are compared up to

@@ -14,8 +14,7 @@ from jaxtyping import Float, Int
 from ..core import se2
 from ..core.gaussian import symmetrise
 from ..core.records import frozen
-from ..kernels.laser.place_refine import lay_onto_lines
-from ..kernels.laser.place_search import FULL, stamp
+from ..kernels.laser.place_search import FULL, lay_onto_lines, stamp
 from ..kernels.mapping.places import (
     Clouds,
     LitWalls,
@@ -27,7 +26,7 @@ from ..kernels.mapping.places import (
 )
 from ..laser.consistency import adjoint
 from ..laser.place_search import Q_LEVELS, LikelihoodField, PlaceConfig, brightness, inliers, likelihood_field
-from ..laser.wall_directions import BINS
+from ..laser.scan_matching import BINS
 from .submaps import PlaceSubmap
 
 MOST_RATIO = 0.9  # of the score that another place may have

@@ -13,8 +13,8 @@ from jaxtyping import Complex, Float, Int
 from ..core import se2
 from ..core.records import freeze, frozen
 from ..core.rows import spread
-from ..kernels.laser.place_refine import fit_normals
-from ..laser.wall_directions import BINS, spectrum
+from ..kernels.laser.place_search import fit_normals
+from ..laser.scan_matching import BINS, spectrum
 
 SUBMAP_EVERY = 3.0  # [m] of way between the middles of submaps
 SUBMAP_AROUND = 3.0  # [m] of way to either side that a submap is made of

@@ -14,8 +14,8 @@ from ..core.findings import Finding
 from ..core.names import robot_name
 from ..core.records import Track
 from ..laser.laser_map import LaserMap
+from ..laser.place_search import gathered
 from ..laser.robot_graph import RobotGraph
-from ..laser.submaps import gathered
 from ..mapping.merge import Merge
 from ..mapping.woven_map import WovenMap
 from .html import Page, told_list

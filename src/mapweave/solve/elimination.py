@@ -20,17 +20,21 @@ from scipy.sparse.linalg import splu
 from ..kernels.block_cholesky import elimination_tree
 from ..kernels.dense import extend_add
 from ..kernels.elimination import (
+    Fronts,
     above_diagonal,
+    backward_fronts,
     children_first,
     column_heights,
     expanded,
+    factor_fronts,
+    forward_fronts,
+    inverse_fronts,
     node_graph,
     places,
     rooms,
     supernode_rows,
     supernodes,
 )
-from ..kernels.fronts import Fronts, backward_fronts, factor_fronts, forward_fronts, inverse_fronts
 
 FEWEST = 3  # nodes for which any order is good
 LEAF = 48  # nodes that are not cut further

@@ -9,17 +9,17 @@ from jaxtyping import Bool, Float, Int
 from scipy.linalg import lapack
 
 from ...core import se2
-from ...kernels.exploration.laps import (
+from ...kernels.exploration.objective import (
     LandmarkSensor,
     LapRules,
     add_landmark_information,
     drive_laps,
     landmark_errors,
     lap_sightings,
+    mark_half_disc,
     odometry_information,
     seen_shares,
 )
-from ...kernels.exploration.objective import mark_half_disc
 from ...kernels.walls.segments import Raster, Sector
 from ...landmarks.submap_slam import SubmapConfig
 from .belief import LandmarkBelief

@@ -13,10 +13,9 @@ import numpy as np
 from .._jit import kernel
 from ..cells import cell_of
 from ..dense import add_product, product, put, solved, transposed
-from .ekf import trust
-from .ekf_drive import COAST_STEP, arc, clear, drive
-from .ekf_state import (
+from .ekf import (
     BEARING_BIAS,
+    COAST_STEP,
     HEAD,
     POSE,
     RANGE_SCALE,
@@ -26,8 +25,12 @@ from .ekf_state import (
     Noise,
     PoseRows,
     SightingRows,
+    arc,
+    clear,
+    drive,
     plain,
     quadratic,
+    trust,
     wrap,
 )
 

@@ -7,13 +7,13 @@ import numpy as np
 
 from .._jit import inlined_kernel, kernel, parallel_kernel, prange
 from .local_map import solve3
-from .tiles import TileMaps
-from .windows import (
+from .tiles import (
     BEAMS,
     CHUNKS,
     BlockMemory,
     MapCells,
     NearestRule,
+    TileMaps,
     blocks_of,
     cells_of,
     frame_of,
